@@ -1,0 +1,1 @@
+"""Stages on a serial line: one engine, one dialect file a controller."""

@@ -1,0 +1,230 @@
+"""One move of an axis: where it should be at a time, and how it is watched until it has ended."""
+
+import threading
+import time
+from dataclasses import dataclass
+
+from drivers.errors import InstrumentError, LimitReached, MotionFailed, TimedOut
+from drivers.stage.axis import Axis, Drive, Scale
+from drivers.stage.controller import Controller
+from drivers.stage.frames import Status
+
+POLL_S = 0.03
+# A controller may accept a move a little before it reports itself busy.
+START_S = 0.3
+STOP_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A move that was started.
+
+    Attributes
+    ----------
+    began_s
+        `time.monotonic()` when its last command was sent.
+    cruise_s
+        Its distance at the nominal speed.
+    lasts_s
+        From its beginning until it must have ended and settled, if all goes as it should.
+    began_at_limit
+        Whether it leaves a limit switch.
+    """
+
+    start_counts: int
+    target_counts: int
+    began_s: float
+    cruise_s: float
+    lasts_s: float
+    began_at_limit: bool = False
+
+    def left_s(self) -> float:
+        """Seconds until it must have ended; 0 when that is past."""
+        return max(0.0, self.began_s + self.lasts_s - time.monotonic())
+
+    def estimate(self) -> float:
+        """Return the counts that it should have reached by now, at the nominal speed."""
+        elapsed_s = time.monotonic() - self.began_s
+        if self.left_s() == 0.0 or elapsed_s >= self.cruise_s:
+            return self.target_counts
+        part = max(0.0, elapsed_s) / self.cruise_s
+        return self.start_counts + part * (self.target_counts - self.start_counts)
+
+
+def begun(axis: Axis, drive: Drive, start: int, target: int, *, at_limit: bool = False) -> Move:
+    """Describe a move that begins now."""
+    settings = axis.settings
+    if start == target:
+        return Move(start, target, time.monotonic(), 0.0, 0.0, at_limit)
+    cruise_s = abs(target - start) / axis.counts_per_mm / drive.speed_mm_per_s
+    # A controller that needs silence after its last command is not believed to be done before that is over.
+    silence_s = axis.dialect.actions.move[-1].pause_s
+    lasts_s = max(cruise_s + axis.ramp_s, silence_s) + settings.settle_s
+    return Move(start, target, time.monotonic(), cruise_s, lasts_s, at_limit)
+
+
+class Watch:
+    """Follows the moves of one axis through what its controller tells, or by computed time."""
+
+    def __init__(self, axis: Axis, controller: Controller, stopped: threading.Event) -> None:
+        self._axis = axis
+        self._device = axis.device
+        self._settings = axis.settings
+        self._controller = controller
+        self._stopped = stopped
+
+    def sit_out(self, move: Move, timeout_s: float | None) -> None:
+        """Wait until a move must have ended, as computed; the line must stay.
+
+        Raises
+        ------
+        TimedOut
+            `timeout_s` is shorter than that.
+        DeviceLost
+            The line went away: nobody knows where the stage is.
+        """
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            self._controller.port.check(self._device)
+            left_s = move.left_s()
+            if left_s == 0.0:
+                return
+            if end_s is not None and time.monotonic() >= end_s:
+                raise self._still_moving(f"for another {left_s:.1f} s, as computed")
+            time.sleep(min(left_s, POLL_S))
+
+    def follow(self, move: Move, scale: Scale, timeout_s: float | None) -> int:
+        """Watch a move until it has ended and settled in its window; returns the counts that were read.
+
+        Raises
+        ------
+        TimedOut
+            It still moves.
+        LimitReached
+            A limit switch ended it.
+        MotionFailed
+            Stopped, without progress, or ended elsewhere.
+        """
+        bound_s = 2.0 * move.lasts_s + START_S + STOP_S if timeout_s is None else timeout_s
+        now_s = time.monotonic()
+        end_s, changed_s, counts = now_s + bound_s, now_s, None
+        while True:
+            status = self._read()
+            now_s = time.monotonic()
+            if status.counts != counts:
+                counts, changed_s = status.counts, now_s
+            self._check_limit(move, scale, status)
+            if not status.busy and self._in_window(move, status):
+                return self._settled(move, scale)
+            if not status.busy and now_s - move.began_s > START_S:
+                raise self._ended_elsewhere(move, scale, status)
+            if now_s - changed_s > self._settings.progress_timeout_s:
+                self.halt_quietly()
+                raise MotionFailed(
+                    self._device,
+                    f"no progress for {self._settings.progress_timeout_s:g} s"
+                    f" at {scale.to_mm(status.counts):.3f} mm",
+                    "look for what blocks the stage, then move again or home it",
+                )
+            if now_s >= end_s:
+                raise self._still_moving(f"at {scale.to_mm(status.counts):.3f} mm after {bound_s:.1f} s")
+            self._stopped.wait(POLL_S)
+
+    def until_idle(self, bound_s: float) -> None:
+        """Wait until the controller says that nothing moves.
+
+        Raises
+        ------
+        TimedOut
+            It still moves after `bound_s`.
+        """
+        end_s = time.monotonic() + bound_s
+        while self._controller.busy():
+            if time.monotonic() >= end_s:
+                raise self._still_moving(f"after {bound_s:.1f} s")
+            time.sleep(POLL_S)
+
+    def homed(self) -> int:
+        """Wait until homing has ended and settled at the controller's zero; returns the counts read.
+
+        Raises
+        ------
+        TimedOut
+            It takes longer than its bound; it was told to stop.
+        MotionFailed
+            Stopped, or ended elsewhere.
+        """
+        began_s = time.monotonic()
+        bound_s = self._settings.home_timeout_s
+        while self._read().busy or time.monotonic() - began_s < START_S:
+            if time.monotonic() - began_s >= bound_s:
+                self.halt_quietly()
+                raise TimedOut(
+                    self._device,
+                    f"homing has not ended within {bound_s:g} s",
+                    "check the home switch, then home again; or raise home_timeout_s",
+                )
+            self._stopped.wait(POLL_S)
+        self._stopped.wait(self._settings.settle_s)
+        status = self._read()
+        if status.busy or abs(status.counts) > self._window_counts():
+            raise MotionFailed(
+                self._device,
+                f"homing ended at {status.counts} counts, not at 0",
+                "check the switch, home again",
+            )
+        return status.counts
+
+    def halt_quietly(self) -> None:
+        """Stop the motion if that can be done; what went wrong before is what the caller is told."""
+        if self._axis.dialect.actions.stop is not None:
+            try:
+                self._controller.stop()
+            except InstrumentError:
+                return
+
+    def _read(self) -> Status:
+        if self._stopped.is_set():
+            raise MotionFailed(self._device, "the motion was stopped", "look why, then move again")
+        return self._controller.status()
+
+    def _settled(self, move: Move, scale: Scale) -> int:
+        self._stopped.wait(self._settings.settle_s)
+        status = self._read()
+        if status.busy or not self._in_window(move, status):
+            raise self._ended_elsewhere(move, scale, status)
+        return status.counts
+
+    def _check_limit(self, move: Move, scale: Scale, status: Status) -> None:
+        if not status.at_limit or self._in_window(move, status):
+            return
+        if status.busy and move.began_at_limit:
+            return
+        if not status.busy and move.began_at_limit and time.monotonic() - move.began_s <= START_S:
+            return
+        if status.busy:
+            self.halt_quietly()
+        raise LimitReached(
+            self._device,
+            f"a limit switch ended the move at {scale.to_mm(status.counts):.3f} mm",
+            "move away from the limit; correct limits_mm if it lies inside them",
+        )
+
+    def _in_window(self, move: Move, status: Status) -> bool:
+        return abs(status.counts - move.target_counts) <= self._window_counts()
+
+    def _window_counts(self) -> float:
+        # Half a count is the rounding of the target itself.
+        return max(self._settings.in_position_mm * self._axis.counts_per_mm, 0.5)
+
+    def _ended_elsewhere(self, move: Move, scale: Scale, status: Status) -> MotionFailed:
+        reached_mm, target_mm = scale.to_mm(status.counts), scale.to_mm(move.target_counts)
+        return MotionFailed(
+            self._device,
+            f"the move ended at {reached_mm:.4f} mm, {reached_mm - target_mm:+.4f} mm from its target"
+            f" (window {self._settings.in_position_mm:g} mm)",
+            "look for what blocks the stage, then move again or home it",
+        )
+
+    def _still_moving(self, where: str) -> TimedOut:
+        return TimedOut(self._device, f"still moving {where}", "wait longer, or stop it")

@@ -1,0 +1,1 @@
+"""Infrared phase-measuring deflectometry: the shape of mirror-like, also discontinuous, objects."""

@@ -1,0 +1,5 @@
+"""``python -m irpmd_rig`` is the command line."""
+
+from irpmd_rig.cli import main
+
+main()

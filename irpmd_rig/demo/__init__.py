@@ -1,0 +1,1 @@
+"""The demonstration: a simulated rig calibrates itself and measures."""

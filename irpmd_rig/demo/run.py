@@ -1,0 +1,107 @@
+"""The demonstration from a world file to tables, pictures and files."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from irpmd_rig.core import Drawing
+from irpmd_rig.core.errors import MeasurementError
+from irpmd_rig.demo.capture import Photographer
+from irpmd_rig.demo.evaluate import evaluate
+from irpmd_rig.demo.files import write_calibration, write_json, write_measurement
+from irpmd_rig.demo.pictures import write_pictures
+from irpmd_rig.demo.procedure import COUNTS, FRAMES, STEPS, calibrate, measure
+from irpmd_rig.demo.result import Result
+from irpmd_rig.shipped import world_file
+from sims.errors import WorldError
+from sims.rig import SimulatedRig
+from sims.world import World, load_world
+
+THREADS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the user asked for."""
+
+    world: str
+    subject: str
+    out: Path
+    seed: int | None
+    size_px: int | None
+
+
+def run(request: Request, console: Console) -> Result:
+    """Calibrate, measure, evaluate and write everything.
+
+    Raises
+    ------
+    MeasurementError
+        For a world file that does not hold, an unknown object, or a measurement that cannot be made.
+    """
+    try:
+        world = _load(request)
+        return _run(world, request, console)
+    except WorldError as error:
+        raise MeasurementError(str(error)) from None
+
+
+def _load(request: Request) -> World:
+    world = load_world(world_file(request.world))
+    if request.subject not in world.objects:
+        raise MeasurementError(
+            f"the world has no object {request.subject!r}; it has {', '.join(sorted(world.objects))}"
+        )
+    if request.size_px is None:
+        return world
+    if not 256 <= request.size_px <= 4096:
+        raise MeasurementError(f"--size-px takes 256 to 4096, not {request.size_px}")
+    return world.with_camera_size(request.size_px)
+
+
+def _run(world: World, request: Request, console: Console) -> Result:
+    # Before the long part: a folder that cannot be written should be known now.
+    request.out.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} frames"),
+        TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("starting", total=FRAMES)
+        photographer = Photographer(
+            SimulatedRig(world, seed=request.seed),
+            COUNTS,
+            STEPS,
+            THREADS,
+            lambda frames: progress.advance(task, frames),
+        )
+
+        def announce(text: str) -> None:
+            progress.console.print(text, highlight=False)
+            progress.update(task, description=text.split(":")[0])
+
+        calibration = calibrate(photographer, drawing(world), announce)
+        measurement = measure(photographer, calibration, request.subject, announce)
+    evaluation = evaluate(measurement, calibration)
+    result = Result(world, request, calibration, measurement, evaluation, time.monotonic() - started)
+    write_calibration(calibration, request.out)
+    write_measurement(measurement, request.out)
+    write_pictures(measurement, evaluation.labels, request.out)
+    write_json(result.as_json(), request.out / "result.json")
+    return result
+
+
+def drawing(world: World) -> Drawing:
+    """Nominal places of camera and glass: what a lab reads off the rig's drawing, misalignments excluded."""
+    camera, glass = world.camera, world.glass
+    return Drawing(
+        camera_xy_mm=(camera.position_mm[0], camera.position_mm[1]),
+        heading=(camera.axis[0], camera.axis[1]),
+        d_point_mm=(glass.centre_mm[0], glass.centre_mm[1]),
+    )

@@ -1,0 +1,208 @@
+"""The simulated rig as whoever runs it sees it: put something in place, move, show, take a frame."""
+
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sims.errors import SimulationError
+from sims.optics import LightMap, Trace, light_map, trace
+from sims.render import exposure, projected_light, render
+from sims.setup import Setup
+from sims.surfaces import SUBJECTS
+
+if TYPE_CHECKING:
+    from sims.world import World
+
+# A map of a 2048 x 2048 camera takes 67 MB; a measurement goes to and fro between few setups.
+_MAPS_KEPT = 3
+
+
+class SimulatedRig:
+    """A world with its instruments; every frame and move is a function of the seed and the calls before.
+
+    It begins with the mirror in place, the glass in place, both stages at 0, infrared light, a black picture,
+    the lamp off, and the camera's exposure and bits of the world. It is not for several threads at once.
+
+    Parameters
+    ----------
+    world : World
+    seed : int, optional
+        Another seed than the world's: other noise and other board poses, the same instruments.
+    """
+
+    def __init__(self, world: "World", *, seed: int | None = None) -> None:
+        self.world = world if seed is None else world.model_copy(update={"seed": seed})
+        self._setup = Setup("mirror")
+        self._light = self.world.lights.infrared
+        self._exposure_us = self.world.camera.exposure_us
+        self._bits: int = self.world.camera.bits
+        self._lamp = False
+        self._picture = projected_light(self.world.projector, None)
+        self._moves = np.random.default_rng([self.world.seed, 0x57A6E])
+        self._frames = 0
+        self._maps: OrderedDict[Setup, LightMap] = OrderedDict()
+
+    @property
+    def setup(self) -> Setup:
+        """What stands where, truly: the stages' displacements with their errors."""
+        return self._setup
+
+    @property
+    def picture(self) -> NDArray[np.float32]:
+        """Light of the picture shown (`sims.render.projected_light`)."""
+        return self._picture
+
+    def place(self, subject: str, *, pose: int = 0) -> None:
+        """Put a subject in front of the camera.
+
+        Parameters
+        ----------
+        subject : str
+            "mirror", "plate", "board" (in its free pose number `pose`), "board_on_plate", "nothing", or an object
+            of the world.
+
+        Raises
+        ------
+        SimulationError
+            The world has no such subject or pose.
+        """
+        known = (*SUBJECTS, *self.world.objects)
+        if subject not in known:
+            raise SimulationError(f"there is no subject '{subject}': this world has {', '.join(known)}")
+        poses = self.world.board.poses if subject == "board" else 1
+        if not 0 <= pose < poses:
+            raise SimulationError(f"'{subject}' has poses 0 to {poses - 1}, not {pose}")
+        self._change(subject=subject, pose=pose)
+
+    def set_glass(self, present: bool) -> None:
+        """Put the ground glass in or take it away."""
+        self._change(glass=bool(present))
+
+    def move_stage1(self, position_mm: float) -> None:
+        """Move camera, mirror and object; positive is away from the glass. The stage's errors are added.
+
+        Raises
+        ------
+        SimulationError
+            The position is outside the stage's travel.
+        """
+        stage = self.world.stage1
+        _check_travel("stage1", position_mm, *stage.travel_mm)
+        noise = self._moves.standard_normal() * stage.position_noise_um * 1e-3
+        self._change(stage1_mm=float(position_mm * (1 + stage.scale_error_ppm * 1e-6) + noise))
+
+    def move_stage2(self, position_mm: float) -> None:
+        """Move the plate away from the camera. The stage's noise is added.
+
+        Raises
+        ------
+        SimulationError
+            The position is outside the stage's travel.
+        """
+        stage = self.world.stage2
+        _check_travel("stage2", position_mm, 0.0, stage.travel_mm)
+        noise = self._moves.standard_normal() * stage.position_noise_um * 1e-3
+        self._change(stage2_mm=float(position_mm + noise))
+
+    def set_light(self, light: Literal["infrared", "visible"]) -> None:
+        """Choose the light source.
+
+        Raises
+        ------
+        SimulationError
+            There is no such light.
+        """
+        if light not in ("infrared", "visible"):
+            raise SimulationError(f"there is no light '{light}': infrared and visible are")
+        self._light = getattr(self.world.lights, light)
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Set the camera's exposure in microseconds.
+
+        Raises
+        ------
+        SimulationError
+            It is not positive and finite.
+        """
+        if not 0 < exposure_us < np.inf:
+            raise SimulationError(f"an exposure is a positive number of microseconds, not {exposure_us}")
+        self._exposure_us = float(exposure_us)
+
+    def set_bits(self, bits: Literal[8, 10]) -> None:
+        """Set the bits of a pixel.
+
+        Raises
+        ------
+        SimulationError
+            It is neither 8 nor 10.
+        """
+        if bits not in (8, 10):
+            raise SimulationError(f"the camera has 8 or 10 bits, not {bits}")
+        self._bits = bits
+
+    def set_lamp(self, on: bool) -> None:
+        """Turn the flood light on or off."""
+        self._lamp = bool(on)
+
+    def show(self, image: NDArray[np.uint8] | None) -> None:
+        """Show a picture until the next one; None is black.
+
+        Parameters
+        ----------
+        image : (rows, columns) uint8 of the projector's size, or None.
+
+        Raises
+        ------
+        SimulationError
+            It has another shape or type.
+        """
+        columns, rows = self.world.projector.size_px
+        if image is not None and (image.shape != (rows, columns) or image.dtype != np.uint8):
+            raise SimulationError(
+                f"the projector shows uint8 pictures of shape ({rows}, {columns}), "
+                f"not {image.dtype} of shape {image.shape}"
+            )
+        self._picture = projected_light(self.world.projector, image)
+
+    def capture(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """Take a frame of the present setup.
+
+        Returns
+        -------
+        (H, W) uint8 (8 bits) or uint16 (10 bits).
+        """
+        shot = exposure(
+            self.world,
+            self._light,
+            exposure_us=self._exposure_us,
+            bits=self._bits,
+            lamp=self._lamp,
+            frame=self._frames,
+        )
+        self._frames += 1
+        return render(self.world.camera, self._picture, self.light_map(), shot)
+
+    def trace(self) -> Trace:
+        """Exact truth of the present setup (`sims.optics.trace`)."""
+        return trace(self.world, self._setup)
+
+    def light_map(self) -> LightMap:
+        """Light map of the present setup, traced once and kept for the last few setups."""
+        found = self._maps.pop(self._setup, None)
+        if found is None:
+            while len(self._maps) >= _MAPS_KEPT:
+                self._maps.popitem(last=False)
+            found = light_map(self.world, self._setup)
+        self._maps[self._setup] = found
+        return found
+
+    def _change(self, **what: object) -> None:
+        present = {name: getattr(self._setup, name) for name in Setup.__slots__}
+        self._setup = Setup(**{**present, **what})  # type: ignore[arg-type]
+
+
+def _check_travel(name: str, position_mm: float, low: float, high: float) -> None:
+    if not low <= position_mm <= high:
+        raise SimulationError(f"{name} travels from {low} to {high} mm, not to {position_mm}")
