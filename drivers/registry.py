@@ -81,17 +81,13 @@ def driver_class(kind: Kind, driver: str, *, device: str) -> DriverClass:
 
 
 @overload
-def make(
-    kind: Literal["camera"], driver: str, name: str, values: Mapping[str, Any]
-) -> Camera: ...  # pragma: no cover
+def make(kind: Literal["camera"], driver: str, name: str, values: Mapping[str, Any]) -> Camera: ...  # pragma: no cover
 @overload
 def make(
     kind: Literal["projector"], driver: str, name: str, values: Mapping[str, Any]
 ) -> Projector: ...  # pragma: no cover
 @overload
-def make(
-    kind: Literal["stage"], driver: str, name: str, values: Mapping[str, Any]
-) -> Stage: ...  # pragma: no cover
+def make(kind: Literal["stage"], driver: str, name: str, values: Mapping[str, Any]) -> Stage: ...  # pragma: no cover
 def make(kind: Kind, driver: str, name: str, values: Mapping[str, Any]) -> Instrument:
     """Make one instrument of a rig file; nothing is opened.
 

@@ -52,9 +52,12 @@ def checked(model: type[Model], values: Mapping[str, Any], *, device: str, place
     try:
         return model.model_validate(_tuples(values))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    what, remedy = _complaint(model, first)
-    raise ConfigurationError(device, f"{place}: {what}" if place else what, remedy, tuple(first["loc"]))
+        # A misspelt key is the cause of the missing one that is told first.
+        errors = error.errors(include_url=False)
+        worst = min(errors, key=lambda found: found["type"] != "extra_forbidden")
+    location = _written(values, worst)
+    what, remedy = _complaint(model, worst, ".".join(str(step) for step in location))
+    raise ConfigurationError(device, f"{place}: {what}" if place else what, remedy, location)
 
 
 def read_file(model: type[Model], path: Path, *, device: str) -> Model:
@@ -81,9 +84,23 @@ def nearest(word: str, known: tuple[str, ...]) -> str:
     return f"did you mean {close[0]!r}? {listing}" if close else listing
 
 
-def _complaint(model: type[BaseModel], error: ErrorDetails) -> tuple[str, str]:
-    location = tuple(error["loc"])
-    path = ".".join(str(step) for step in location)
+def _written(values: Any, error: ErrorDetails) -> Location:
+    """Leave out of a location what is not in the values: a validator's marks for the members of a union."""
+    kept: list[str | int] = []
+    last = len(error["loc"]) - 1
+    for depth, step in enumerate(error["loc"]):
+        if (isinstance(values, Mapping) and step in values) or (
+            isinstance(values, list | tuple) and isinstance(step, int) and step < len(values)
+        ):
+            values = values[step]  # type: ignore[index]
+            kept.append(step)
+        elif depth == last and error["type"] == "missing":
+            kept.append(step)
+    return tuple(kept)
+
+
+def _complaint(model: type[BaseModel], error: ErrorDetails, path: str) -> tuple[str, str]:
+    location = error["loc"]
     if error["type"] == "extra_forbidden":
         return f"unknown key {path!r}", nearest(str(location[-1]), _keys_at(model, location[:-1]))
     if error["type"] == "missing":
@@ -134,9 +151,7 @@ def _parsed(path: Path, device: str) -> CommentedMap:
         with path.open("rb") as file:
             text = file.read(FILE_LIMIT_BYTES + 1)
     except OSError as error:
-        raise ConfigurationError(
-            device, f"{path} cannot be read: {error.strerror}", "correct its name"
-        ) from None
+        raise ConfigurationError(device, f"{path} cannot be read: {error.strerror}", "correct its name") from None
     if len(text) > FILE_LIMIT_BYTES:
         raise ConfigurationError(device, f"{path.name} is larger than {FILE_LIMIT_BYTES} bytes", mend)
     try:

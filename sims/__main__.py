@@ -9,10 +9,15 @@ import typer
 
 from sims.bench import bench_render
 from sims.errors import WorldError
-from sims.world import load_world
+from sims.world import World, load_world
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
-_MISALIGNED = Path(__file__).parent.parent / "configs" / "worlds" / "misaligned.yaml"
+# Beside the packages in a checkout, inside one of them once installed.
+_ABOVE = Path(__file__).parent.parent
+_WORLDS = next(
+    (folder for place in (".", "irpmd_rig") if (folder := _ABOVE / place / "configs" / "worlds").is_dir()), _ABOVE
+)
+_MISALIGNED = _WORLDS / "misaligned.yaml"
 
 
 @app.callback()
@@ -45,7 +50,7 @@ def render_bench(
         )
 
 
-def _load(path: Path):  # noqa: ANN202
+def _load(path: Path) -> World:
     try:
         return load_world(path)
     except WorldError as error:

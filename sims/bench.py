@@ -60,7 +60,7 @@ def _median_ms(call: Callable[[], object], runs: int) -> float:
 
 
 def _numpy_frame(rig: SimulatedRig, bits: int) -> NDArray[Any]:
-    """The frame that `rig.capture()` would take next, but for the noise generator, written plainly."""
+    """Render a frame like those of `rig.capture()`, written plainly, with numpy's own noise."""
     camera, light, scene = rig.world.camera, rig.picture, rig.light_map()
     shot: Exposure = exposure(
         rig.world, rig.world.lights.infrared, exposure_us=camera.exposure_us, bits=bits, lamp=False, frame=0

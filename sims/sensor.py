@@ -23,20 +23,20 @@ _U = np.uint32
 
 
 @intrinsic
-def _as_float(typingctx: Any, word: Any) -> Any:
+def _as_float(_typing: Any, _word: Any) -> Any:
     """Bits of a uint32 as a float32."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], ir.FloatType())
 
     return types.float32(types.uint32), codegen
 
 
 @intrinsic
-def _as_word(typingctx: Any, number: Any) -> Any:
+def _as_word(_typing: Any, _number: Any) -> Any:
     """Bits of a float32 as a uint32."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], ir.IntType(32))
 
     return types.uint32(types.float32), codegen

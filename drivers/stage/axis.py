@@ -220,9 +220,7 @@ def resolve(device: str, settings: SerialStageSettings, dialect: Dialect) -> Axi
         )
     if settings.axis > dialect.fields.axis.maximum:
         largest = dialect.fields.axis.maximum
-        raise ConfigurationError(
-            device, f"there is no axis {settings.axis}", f"axis is at most {largest}", ("axis",)
-        )
+        raise ConfigurationError(device, f"there is no axis {settings.axis}", f"axis is at most {largest}", ("axis",))
     line = settings.line or dialect.line
     axis = Axis(device, settings, dialect, line, byte_order=order, **facts)
     try:

@@ -122,8 +122,7 @@ class Watch:
                 self.halt_quietly()
                 raise MotionFailed(
                     self._device,
-                    f"no progress for {self._settings.progress_timeout_s:g} s"
-                    f" at {scale.to_mm(status.counts):.3f} mm",
+                    f"no progress for {self._settings.progress_timeout_s:g} s at {scale.to_mm(status.counts):.3f} mm",
                     "look for what blocks the stage, then move again or home it",
                 )
             if now_s >= end_s:

@@ -220,9 +220,7 @@ class Port:
         except IO_ERRORS as error:
             self._retry.failed()
             if self._lost:
-                return DeviceLost(
-                    device, f"{self.url} is gone", "plug it in again, then home or zero the axis"
-                )
+                return DeviceLost(device, f"{self.url} is gone", "plug it in again, then home or zero the axis")
             return NotConnected(device, f"{self.url} cannot be opened: {reason(error)}", remedy(error))
         self._retry = _Retry()
         self._lost = self._unsure = False

@@ -6,20 +6,30 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from irpmd_rig.core import Drawing
 from irpmd_rig.core.errors import MeasurementError
 from irpmd_rig.demo.capture import Photographer
-from irpmd_rig.demo.evaluate import evaluate
+from irpmd_rig.demo.evaluate import Evaluation, evaluate
 from irpmd_rig.demo.files import write_calibration, write_json, write_measurement
 from irpmd_rig.demo.pictures import write_pictures
-from irpmd_rig.demo.procedure import COUNTS, FRAMES, STEPS, calibrate, measure
-from irpmd_rig.demo.result import Result
+from irpmd_rig.demo.procedure import (
+    COUNTS,
+    FRAMES,
+    STAGE_POSITIONS_MM,
+    STEPS,
+    Measurement,
+    calibrate,
+    measure,
+)
+from irpmd_rig.demo.result import Result, Truth
 from irpmd_rig.shipped import world_file
 from sims.errors import WorldError
 from sims.rig import SimulatedRig
+from sims.truth import true_d_mm, true_steps_mm
 from sims.world import World, load_world
 
 THREADS = 2
@@ -88,13 +98,37 @@ def _run(world: World, request: Request, console: Console) -> Result:
 
         calibration = calibrate(photographer, drawing(world), announce)
         measurement = measure(photographer, calibration, request.subject, announce)
+        progress.console.print("facets, steps, files and pictures", highlight=False)
     evaluation = evaluate(measurement, calibration)
-    result = Result(world, request, calibration, measurement, evaluation, time.monotonic() - started)
+    truth = _truth(photographer.rig, request.subject, measurement, evaluation)
     write_calibration(calibration, request.out)
     write_measurement(measurement, request.out)
     write_pictures(measurement, evaluation.labels, request.out)
+    result = Result(
+        world=request.world,
+        subject=request.subject,
+        seed=photographer.rig.world.seed,
+        out=request.out,
+        seconds=time.monotonic() - started,
+        calibration=calibration,
+        evaluation=evaluation,
+        truth=truth,
+    )
     write_json(result.as_json(), request.out / "result.json")
     return result
+
+
+def _truth(rig: SimulatedRig, subject: str, measurement: Measurement, evaluation: Evaluation) -> Truth:
+    """Ask the world, after the measurement, what it should have found."""
+    rig.move_stage1(STAGE_POSITIONS_MM[0])
+    traced = rig.trace().point_mm[..., 2]
+    error = (measurement.depth_mm - traced)[evaluation.labels > 0]
+    return Truth(
+        steps_mm=true_steps_mm(rig.world, subject),
+        d_mm=true_d_mm(rig.world),
+        focal_px=rig.world.camera.fc_px,
+        depth_rms_um=1e3 * float(np.sqrt(np.nanmean(error**2))),
+    )
 
 
 def drawing(world: World) -> Drawing:

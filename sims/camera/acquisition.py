@@ -255,9 +255,7 @@ class Acquisition:
         table = response(bits, settings.gain_db, settings.gamma)
         return region if table is None else table[region]
 
-    def _send(
-        self, frame_id: int, exposure: Exposure, settings: FrameSettings, image: Image, share: float
-    ) -> None:
+    def _send(self, frame_id: int, exposure: Exposure, settings: FrameSettings, image: Image, share: float) -> None:
         def pack(memory: Bytes) -> None:
             settings.pixel_format.pack(image, memory, settings.line_padding_bytes)
 

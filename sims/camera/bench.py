@@ -1,7 +1,7 @@
 """How fast the simulated camera is: `python -m sims.camera.bench [--json] [--seconds S] [--size-px N]`.
 
-Plain harvesters, in a process of its own, fetches frames from this process. Each frame is another picture than
-the one before; complete buffers are counted, once as fetched and once with the pixels copied out of them.
+Plain harvesters, in a process of its own, fetches frames from this process. Each frame is another picture
+than the one before; complete buffers are counted, once as fetched and once with the pixels copied out.
 """
 
 import argparse

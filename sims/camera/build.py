@@ -25,7 +25,7 @@ def producer() -> Path:
     """Path of the producer, built if need be.
 
     The environment variable IRPMD_SIM_PRODUCER names a prebuilt file. Otherwise the sources are compiled into
-    the user's cache (XDG_CACHE_HOME, else ~/.cache), under a name that holds a hash of them and the architecture.
+    the user's cache (XDG_CACHE_HOME, else ~/.cache), named by a hash of them and the architecture.
 
     Raises
     ------
@@ -51,8 +51,8 @@ def producer() -> Path:
                 _build([source for source in sources if source.suffix == ".c"], built)
     except OSError as error:
         raise ProducerError(
-            f"the simulated camera's producer cannot be kept in {folder} ({error}): set XDG_CACHE_HOME to a folder"
-            f" that can be written, or {VARIABLE} to a prebuilt file"
+            f"the simulated camera's producer cannot be kept in {folder} ({error}): set"
+            f" XDG_CACHE_HOME to a folder that can be written, or {VARIABLE} to a prebuilt file"
         ) from error
     return built
 
@@ -73,15 +73,14 @@ def _build(sources: list[Path], built: Path) -> None:
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         raise ProducerError(
-            f"the simulated camera needs a C compiler ({', '.join(COMPILERS)}), and none is on the PATH: install"
-            f" the package gcc (Debian: apt-get install build-essential), or set {VARIABLE} to a prebuilt file"
+            f"the simulated camera needs a C compiler ({', '.join(COMPILERS)}), and none is on the PATH:"
+            " install the package gcc (Debian: apt-get install build-essential), or set"
+            f" {VARIABLE} to a prebuilt file"
         )
     with tempfile.TemporaryDirectory(dir=built.parent) as folder:
         fresh = Path(folder) / built.name
         command = [compiler, *FLAGS, "-o", str(fresh), *map(str, sources)]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode != 0:
-            raise ProducerError(
-                f"{compiler} does not compile the simulated camera's producer:\n{result.stderr}"
-            )
+            raise ProducerError(f"{compiler} does not compile the simulated camera's producer:\n{result.stderr}")
         fresh.replace(built)

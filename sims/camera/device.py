@@ -6,7 +6,7 @@ from typing import cast
 
 from sims.camera.acquisition import Acquisition, Counters, Picture, Plan, Render, Sink
 from sims.camera.faults import CameraFaults
-from sims.camera.features import COUNTERS, MODES, SOURCES, TRIGGERS
+from sims.camera.features import MODES, SOURCES, TRIGGERS
 from sims.camera.nodemap import XML_ADDRESS, NodeMap, Register, Value
 from sims.camera.parameters import CameraSettings, Parameters
 from sims.camera.wire import Refusal, Status
@@ -23,11 +23,11 @@ class CameraTwin:
     Parameters
     ----------
     render : callable
-        `render(exposure_start_s, exposure_us, bits)` returns what the whole sensor sees: (height, width), uint8
-        for 8 bits, uint16 for 10. It is called in the camera's exposure thread as the clock reaches the exposure's
-        start (later where the thread is late: the first argument tells the true moment). Where the picture takes
-        long, it may instead take note of the world's state and return a callable without arguments that makes the
-        picture; that is called once, in order, in the camera's readout thread after the readout.
+        `render(exposure_start_s, exposure_us, bits)` returns what the whole sensor sees: (height, width),
+        uint8 for 8 bits, uint16 for 10. It is called in the camera's exposure thread as the clock reaches the
+        exposure's start (later where the thread is late: the first argument tells the true moment). Where the
+        picture takes long, it may take note of the world's state and return a callable without arguments that
+        makes the picture; that is called once, in order, in the camera's readout thread after the readout.
     clock : WorldClock
         The time that the camera lives in.
     settings : CameraSettings
@@ -57,7 +57,7 @@ class CameraTwin:
     # ---- the world's side ----
 
     def trigger(self, time_s: float, *, rising: bool = True) -> None:
-        """An edge on the hardware trigger line (Line1) at `time_s` of the clock, from any thread; does not wait."""
+        """Take an edge on the hardware trigger line (Line1) at `time_s` of the clock; does not wait."""
         with self._lock:
             trigger = self._parameters.trigger()
             acquisition = self._acquisition
@@ -92,9 +92,7 @@ class CameraTwin:
     @property
     def identity(self) -> tuple[str, str, str, str, str, str]:
         """Id, vendor, model, serial number, version, user's name."""
-        texts = [
-            str(self._parameters.get(f"Device{name}")) for name in ("VendorName", "ModelName", "SerialNumber")
-        ]
+        texts = [str(self._parameters.get(f"Device{name}")) for name in ("VendorName", "ModelName", "SerialNumber")]
         return (
             f"irpmd-rig {texts[2]}",
             texts[0],
@@ -109,12 +107,12 @@ class CameraTwin:
         self._on_unplug = call
 
     def open(self) -> None:
-        """A client opens the camera: settings are as after power-up, triggers off."""
+        """Begin a client's session: settings are as after power-up, triggers off."""
         with self._lock:
             self._parameters.reset()
 
     def release(self) -> None:
-        """The client is gone: the acquisition ends."""
+        """End a client's session, hence its acquisition."""
         self._end_acquisition()
 
     def attach(self, sink: Sink) -> None:
@@ -193,9 +191,7 @@ class CameraTwin:
     def _count(self) -> int:
         counters = self.counters
         values = (counters.transferred, counters.skipped, counters.missed_triggers)
-        return dict(zip((number for _, number in COUNTERS), values, strict=True))[
-            cast(int, self._parameters.get("CounterSelector"))
-        ]
+        return values[cast(int, self._parameters.get("CounterSelector"))]
 
     def _command(self, name: str) -> None:
         match name:

@@ -112,7 +112,7 @@ class CameraFaults:
         return self._hanging
 
     def take_frame(self) -> FrameFault:
-        """What befalls the next frame."""
+        """Take what befalls the next frame."""
         with self._lock:
             dropped = self._take("drop")
             share = self._share if self._take("incomplete") else 1.0

@@ -1,6 +1,6 @@
 """The camera's features: their names, kinds and fixed facts, modelled on GenICam's SFNC and on an xiQ.
 
-No GenICam XML of an xiQ was found: names, units and limits here are the simulator's, and a driver may rely on none.
+No GenICam XML of an xiQ was found: names, units and limits here are the simulator's own.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ TEXT_BYTES = 64
 class Feature:
     """One feature of the node map.
 
-    `limited` ones have a minimum, a maximum and an increment (integers) that the device tells at every access;
-    `locked` ones cannot be written while frames are being acquired; `selector` names the feature that chooses which
-    of several values this one stands for.
+    `limited` ones have a minimum, a maximum and (integers) an increment, which the device tells each time;
+    `locked` ones cannot be written while frames are being acquired; `selector` names the feature that chooses
+    which of several values this one stands for.
     """
 
     name: str

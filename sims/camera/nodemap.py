@@ -30,13 +30,13 @@ class Register:
         return TEXT_BYTES if self.feature.kind == "string" else 8
 
     def encode(self, value: Value) -> bytes:
-        """The register's bytes for a value."""
+        """Return the register's bytes for a value."""
         if isinstance(value, str):
             return value.encode()[: TEXT_BYTES - 1].ljust(TEXT_BYTES, b"\0")
         return struct.pack("<d" if self.feature.kind == "float" else "<q", value)
 
     def decode(self, data: bytes) -> Value:
-        """The value in a register's bytes."""
+        """Return the value in a register's bytes."""
         number: Value = struct.unpack("<d" if self.feature.kind == "float" else "<q", data)[0]
         return number
 

@@ -1,6 +1,6 @@
 """What the camera is set to: values, their limits, what may be written when."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from sims.camera.features import LINES, TRIGGERS, Feature, features
@@ -18,8 +18,8 @@ SMALLEST_PX = 16
 class CameraSettings:
     """What a simulated camera is, and how it is served; fixed for its lifetime.
 
-    `paced` cameras keep the sensor's times on their clock; others run as fast as the computer takes frames, without
-    losing one. `exposure_us` are the limits of the exposure (not an xiQ's: those are not known).
+    `paced` cameras keep the sensor's times on their clock; others run as fast as the computer takes frames,
+    without losing one. `exposure_us` are the limits of the exposure (not an xiQ's: those are not known).
     """
 
     size_px: tuple[int, int] = (2048, 2048)
@@ -29,7 +29,7 @@ class CameraSettings:
     exposure_us: tuple[float, float] = (10.0, 1_000_000.0)
     line_padding_bytes: int = 0
     paced: bool = True
-    timing: SensorTiming = SensorTiming()
+    timing: SensorTiming = field(default_factory=SensorTiming)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,7 @@ class Parameters:
 
     def __init__(self, settings: CameraSettings):
         self._settings = settings
-        self.features = {
-            feature.name: feature for feature in features(float_exposure=settings.float_exposure)
-        }
+        self.features = {feature.name: feature for feature in features(float_exposure=settings.float_exposure)}
         self._values: dict[Key, Value] = {}
         self.reset()
 
@@ -152,7 +150,7 @@ class Parameters:
         self._values[self._key(name)] = value
 
     def frame(self) -> FrameSettings:
-        """What a frame is taken with now."""
+        """Return what a frame is taken with now."""
         chosen = self._values["PixelFormat", None]
         free = self.get("AcquisitionFrameRateEnable") == 0
         return FrameSettings(
@@ -167,7 +165,7 @@ class Parameters:
         )
 
     def trigger(self) -> tuple[Literal["FrameStart", "FrameBurstStart"], int, int] | None:
-        """The trigger that is on: what it starts, its source, its edge; None when free running."""
+        """Return the trigger that is on (what it starts, source, edge); None when free running."""
         for number, what in enumerate(("FrameStart", "FrameBurstStart")):
             if self._values.get(("TriggerMode", number)) == 1:
                 source = self._values.get(("TriggerSource", number), 0)
@@ -198,6 +196,4 @@ class Parameters:
         if name == "TriggerMode" and value == 1:
             others = {number for _, number in TRIGGERS} - {self._key(name)[1]}
             if any(self._values.get((name, other)) == 1 for other in others):
-                raise Refusal(
-                    Status.ACCESS_DENIED, "there is one trigger: switch the other selector's off first"
-                )
+                raise Refusal(Status.ACCESS_DENIED, "there is one trigger: switch the other selector's off first")

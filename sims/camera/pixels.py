@@ -80,4 +80,5 @@ def response(bits: int, gain_db: float, gamma: float) -> Image | None:
         return None
     full = (1 << bits) - 1
     share = np.minimum(np.arange(full + 1) / full * 10 ** (gain_db / 20), 1.0)
-    return np.rint(full * share ** (1 / gamma)).astype(np.uint8 if bits == 8 else np.uint16)
+    table = np.rint(full * share ** (1 / gamma))
+    return table.astype(np.uint8) if bits == 8 else table.astype(np.uint16)

@@ -93,9 +93,7 @@ class CameraServer:
             self._listener.bind(address)
         self._listener.listen()
         self._camera.on_unplug(self._cut_all)
-        self._accepting = Thread(
-            target=self._accept, args=(self._listener,), name="camera server", daemon=True
-        )
+        self._accepting = Thread(target=self._accept, args=(self._listener,), name="camera server", daemon=True)
         self._accepting.start()
 
     def close(self) -> None:

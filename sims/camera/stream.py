@@ -17,7 +17,7 @@ PAGE_BYTES = mmap.PAGESIZE
 
 
 class Ring:
-    """Memory for `SLOTS` frames that both processes map; the slot freed last is used next: it is in the cache.
+    """Memory for `SLOTS` frames that both processes map; the slot freed last, still cached, goes first.
 
     Parameters
     ----------
@@ -52,9 +52,7 @@ class FrameStream:
         Converts the clock's seconds to the camera's time stamp.
     """
 
-    def __init__(
-        self, connection: socket.socket, payload_bytes: Callable[[], int], to_ns: Callable[[float], int]
-    ):
+    def __init__(self, connection: socket.socket, payload_bytes: Callable[[], int], to_ns: Callable[[float], int]):
         self._connection = connection
         self._payload_bytes, self._to_ns = payload_bytes, to_ns
         self._changed = Condition()
@@ -78,7 +76,7 @@ class FrameStream:
             self._stop()
 
     def send(self, frame: Frame, ended: Event, *, lossless: bool) -> bool:
-        """Put a frame into the ring and tell the client; False if the stream is stopped or the ring has no room."""
+        """Put a frame into the ring and tell the client; False if it is stopped or without room."""
         settings = frame.settings
         size = settings.payload_bytes
         slot = self._take_slot(size, ended, wait=lossless)

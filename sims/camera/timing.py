@@ -11,8 +11,8 @@ TOLERANCE_S = 1e-9
 class SensorTiming:
     """Times of an MQ042RG-CM (xiQ technical manual 1.0: instruments notes, section 1).
 
-    Reading out `n` lines takes `(constant_us + line_us n) bandwidth_factor`; 2048 lines take 11 072.5 us, which
-    makes 90.3 frames a second. An exposure begins `trigger_to_exposure_us` after its trigger. That the constant
+    Reading out `n` lines takes `(constant_us + line_us n) bandwidth_factor`: 11 072.5 us for 2048 lines,
+    hence 90.3 frames a second. An exposure begins `trigger_to_exposure_us` after its trigger. That the constant
     part also keeps two exposures apart is inferred, not documented.
     """
 
@@ -42,7 +42,7 @@ class Exposure:
 class Schedule:
     """What the sensor has been busy with, hence when it can expose next.
 
-    An exposure may overlap the readout of the frame before, but its own readout cannot begin before that one ends.
+    An exposure may overlap the readout of the frame before, but its own readout begins after that one's end.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Schedule:
         return self.expose(start_s, exposure_s, lines)
 
     def free_running(self, now_s: float, exposure_s: float, lines: int, interval_s: float) -> Exposure:
-        """Take the next exposure without a trigger, `interval_s` or what the sensor needs after the last start.
+        """Expose without a trigger, `interval_s` or what the sensor needs after the last start.
 
         Where the caller is late by more than a period, the missing frames were never exposed: the sensor of a
         simulation that is too slow runs slower, too.

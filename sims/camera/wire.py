@@ -7,6 +7,8 @@ from enum import IntEnum
 from typing import ClassVar, Self
 
 VERSION = 1
+LONGEST_PAYLOAD = 4096
+"""Bytes that a client sends at once; no register is longer."""
 
 
 class Status(IntEnum):
@@ -65,17 +67,17 @@ class Request:
 
     @classmethod
     def receive(cls, connection: socket.socket) -> tuple[Self, bytes]:
-        """Next request and its payload; EOFError at the connection's end."""
+        """Receive a request and its payload; EOFError at the connection's end."""
         request = cls(*cls.LAYOUT.unpack(receive(connection, cls.LAYOUT.size)))
+        if request.payload > LONGEST_PAYLOAD:
+            raise EOFError("not a client of ours")
         return request, receive(connection, request.payload)
 
 
 REPLY = struct.Struct("<iIQII")
 
 
-def reply(
-    connection: socket.socket, request: Request, status: Status, value: int = 0, payload: bytes = b""
-) -> None:
+def reply(connection: socket.socket, request: Request, status: Status, value: int = 0, payload: bytes = b"") -> None:
     """Answer a request."""
     connection.sendall(REPLY.pack(status, request.sequence, value, len(payload), 0) + payload)
 

@@ -24,9 +24,7 @@ class LedHeat:
         Time in which the difference to the final temperature falls to 1/e.
     """
 
-    def __init__(
-        self, clock: WorldClock, too_hot: Callable[[], None], *, time_constant_s: float = 5.0
-    ) -> None:
+    def __init__(self, clock: WorldClock, too_hot: Callable[[], None], *, time_constant_s: float = 5.0) -> None:
         self._clock = clock
         self._too_hot = too_hot
         self._time_constant_s = time_constant_s
@@ -52,6 +50,4 @@ class LedHeat:
             self._alarm = None
         if towards_c > LIMIT_C:
             left = (towards_c - min(self._from_c, LIMIT_C)) / (towards_c - LIMIT_C)
-            self._alarm = self._clock.call_at(
-                self._since_s + self._time_constant_s * math.log(left), self._too_hot
-            )
+            self._alarm = self._clock.call_at(self._since_s + self._time_constant_s * math.log(left), self._too_hot)

@@ -219,9 +219,7 @@ class LightCommander(UsbDevice):
     def _configure_sync(self, output: int, polarity: int, delay_us: int, width_us: int) -> None:
         rising = _flag(polarity)
         present = self._output(output)
-        self.player.set_output(
-            output, replace(present, rising=rising, delay_s=delay_us / 1e6, width_s=width_us / 1e6)
-        )
+        self.player.set_output(output, replace(present, rising=rising, delay_s=delay_us / 1e6, width_s=width_us / 1e6))
 
     def _enable_sync(self, output: int, on: int) -> None:
         enabled = _flag(on)

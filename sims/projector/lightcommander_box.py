@@ -1,6 +1,4 @@
-"""What the simulated LightCommander does, whatever it is told over: memory, sequences, display, LEDs,
-faults.
-"""
+"""What the simulated LightCommander does, whatever it is told over: memory, display, LEDs, faults."""
 
 import threading
 from collections.abc import Callable
@@ -330,6 +328,6 @@ class LightCommanderBox:
                 for led in named
                 if on and self._leds[led].enabled and self._leds[led].percent > 0 and led != self.faults.led
             )
-            level = max((self._leds[led].percent / 100 for led in self.lit), default=0.0)
-            self.player.light(Light(self._clock.now(), self.lit, level))
-            self._heat.set_level(level)
+            levels = {led: self._leds[led].percent / 100 for led in self.lit}
+            self.player.light(Light(self._clock.now(), levels))
+            self._heat.set_level(max(levels.values(), default=0.0))

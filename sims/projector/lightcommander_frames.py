@@ -1,6 +1,4 @@
-"""The invented frames of the simulated LightCommander (`lightcommander_wire.md`): taking them apart and
-making them.
-"""
+"""The invented frames of the simulated LightCommander (see `lightcommander_wire.md`)."""
 
 import struct
 from dataclasses import dataclass
@@ -55,7 +53,7 @@ class RequestReader:
     def feed(self, data: bytes) -> list[Request]:
         """Return the requests that these bytes complete."""
         self._pending += data
-        requests = []
+        requests: list[Request] = []
         while True:
             mark = self._pending.find(REQUEST_MARK)
             del self._pending[: mark if mark >= 0 else len(self._pending)]

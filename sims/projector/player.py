@@ -9,8 +9,8 @@ machine is late, but the time that the edge is given is exact.
 import math
 import threading
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
 from typing import NamedTuple, Protocol
 
@@ -61,6 +61,7 @@ class Programme:
     pass_s: float = math.inf
     passes: int | None = 1
     rising: tuple[bool, ...] = ()
+    leds: tuple[frozenset[str], ...] = ()
 
     @property
     def end_s(self) -> float:
@@ -72,9 +73,7 @@ class Programme:
         return self.start_s + (self.passes - 1) * self.pass_s + len(self.patterns) * self.period_s
 
     def at(self, time_s: float) -> tuple[int, float] | None:
-        """Return (index of the pattern, seconds since it came) at a time, or None between and after
-        patterns.
-        """
+        """Return (index of the pattern, seconds since it came), or None if there is none at that time."""
         since_s = time_s - self.start_s
         if since_s < 0 or not self.patterns or time_s >= self.end_s:
             return None
@@ -111,11 +110,10 @@ class Programme:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Which LEDs are lit from a time on, and how strongly."""
+    """The levels, 0 to 1, of the LEDs that may be lit from a time on."""
 
     start_s: float
-    leds: tuple[str, ...] = ()
-    level: float = 0.0
+    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -201,22 +199,31 @@ class Player:
         programme = self.programme
         return bool(programme.patterns) and time_s < programme.end_s
 
-    def pattern_at(self, time_s: float) -> Pattern | None:
-        """Return what is on the mirrors at a time, lit or not."""
+    def _place(self, time_s: float) -> tuple[Programme, int | None]:
         with self._lock:
-            index = bisect_right(self._programmes, time_s, key=_start) - 1
-            programme = self._programmes[index]
+            programme = self._programmes[bisect_right(self._programmes, time_s, key=_start) - 1]
         place = programme.at(time_s)
-        return programme.patterns[place[0]] if place else None
+        return programme, place[0] if place else None
+
+    def index_at(self, time_s: float) -> int | None:
+        """Return which pattern of its programme is on the mirrors at a time, lit or not."""
+        return self._place(time_s)[1]
 
     def shown_at(self, time_s: float) -> Shown:
-        """Return what is shown at a time."""
+        """Return what is shown at a time; the LEDs are dark between the exposures of a programme that
+        runs.
+        """
         with self._lock:
             light = self._lights[bisect_right(self._lights, time_s, key=_start) - 1]
-        pattern = self.pattern_at(time_s)
-        if not light.leds or light.level <= 0:
+        levels = {led: level for led, level in light.levels.items() if level > 0}
+        programme, index = self._place(time_s)
+        if index is not None and programme.leds:
+            levels = {led: level for led, level in levels.items() if led in programme.leds[index]}
+        between = index is None and programme.patterns and time_s < programme.end_s
+        if not levels or between:
             return NOTHING
-        return Shown(pattern.image() if pattern else None, "+".join(light.leds), light.level)
+        image = None if index is None else programme.patterns[index].image()
+        return Shown(image, "+".join(levels), max(levels.values()))
 
     def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
         """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps.

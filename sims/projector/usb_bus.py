@@ -184,9 +184,7 @@ class UsbBus:
                 if place.address is not None
             ]
 
-    def _claim(
-        self, holder: tuple[str, int], claim: tuple[int, int], device: UsbDevice, *, take: bool
-    ) -> None:
+    def _claim(self, holder: tuple[str, int], claim: tuple[int, int], device: UsbDevice, *, take: bool) -> None:
         with self._lock:
             held = self._claims.get(claim)
             if take:

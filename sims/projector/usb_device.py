@@ -222,9 +222,7 @@ class UsbDevice:
                 return {}, self._transfer_in(endpoint, int(head["size"]), wait)
             return {"count": self._transfer_out(endpoint, data, wait)}, b""
         if call == "control":
-            return {}, self.control(
-                *(int(head[name]) for name in ("type", "request", "value", "index", "size"))
-            )
+            return {}, self.control(*(int(head[name]) for name in ("type", "request", "value", "index", "size")))
         return self._housekeeping(call, head), b""
 
     def _housekeeping(self, call: str, head: dict[str, Any]) -> dict[str, Any]:

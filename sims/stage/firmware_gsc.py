@@ -91,9 +91,7 @@ class Gsc:
         for address in self._axes:
             counts = self.counts(address)
             positions.append(("-" if counts < 0 else " ") + f"{abs(counts):>9}")
-        limited = [
-            address for address, axis in self._axes.items() if axis.outcome == "limit" and not axis.busy
-        ]
+        limited = [address for address, axis in self._axes.items() if axis.outcome == "limit" and not axis.busy]
         second = "K" if not limited else "W" if len(limited) > 1 else "LM"[min(limited[0], 2) - 1]
         letters = ("X" if self._refused else "K", second, "B" if self._busy() else "R")
         return ",".join((*positions, *letters)) + "\r\n"

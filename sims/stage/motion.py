@@ -114,9 +114,7 @@ class Movement:
         low_s, high_s = 0.0, self.ends_after_s
         for _ in range(60):
             middle_s = (low_s + high_s) / 2
-            low_s, high_s = (
-                (middle_s, high_s) if self.travelled(middle_s)[0] < after_mm else (low_s, middle_s)
-            )
+            low_s, high_s = (middle_s, high_s) if self.travelled(middle_s)[0] < after_mm else (low_s, middle_s)
         return replace(self, ends_after_s=high_s, outcome=outcome)
 
 
@@ -169,9 +167,7 @@ class Axis:
         The speed of the moves to come.
     """
 
-    def __init__(
-        self, settings: AxisSettings, clock: WorldClock, seed: int | tuple[int, ...] | None = None
-    ) -> None:
+    def __init__(self, settings: AxisSettings, clock: WorldClock, seed: int | tuple[int, ...] | None = None) -> None:
         low_mm, high_mm = settings.travel_mm
         if not low_mm <= settings.start_mm <= high_mm or not low_mm <= settings.home_mm <= high_mm:
             raise ValueError(f"start_mm and home_mm must lie within travel_mm {settings.travel_mm}")

@@ -94,9 +94,9 @@ def _places(
     looked_at = _taken(values[0], row, column)
     top = looked_at.max(axis=0).astype(np.float32)
     swing = np.where(top < saturation_dn, top - looked_at.min(axis=0), 0)
-    order = np.argsort(swing, kind="stable")
-    lit = order[np.searchsorted(swing[order], 0.5 * swing[order[-(order.size // 100) - 1]]) :]
-    chosen = np.concatenate([_spread(order.size, _RUNS), lit[_spread(lit.size, _LIT_RUNS)]])
+    strong = np.partition(swing, -(swing.size // 100) - 1)[-(swing.size // 100) - 1]
+    lit = np.flatnonzero(swing >= 0.5 * strong)
+    chosen = np.concatenate([_spread(swing.size, _RUNS), lit[_spread(lit.size, _LIT_RUNS)]])
     return row[chosen], column[chosen]
 
 
@@ -178,15 +178,17 @@ def _last_residual(phase: npt.NDArray[np.float64], rungs: Ladder) -> npt.NDArray
 
 def _robust_variances(samples: Floats, group: npt.NDArray[np.intp], least: float) -> npt.NDArray[np.float64]:
     """Variance of each group without what lies beyond 4 sigma, from the mean size of the samples on."""
-    size = np.abs(samples.astype(np.float64))
+    square = samples**2
     number = np.bincount(group, minlength=_GROUPS)
-    sigma = np.sqrt(np.pi / 2) * np.bincount(group, size, minlength=_GROUPS) / np.maximum(number, 1)
-    for _ in range(4):
-        sigma = np.maximum(sigma, np.sqrt(least))
-        kept = size <= _CLIP_SIGMAS * sigma[group]
-        number = np.bincount(group, kept, minlength=_GROUPS)
-        sigma = np.sqrt(np.bincount(group, kept * size**2, minlength=_GROUPS) / np.maximum(number, 1))
-    return np.asarray(np.maximum(sigma**2, least))
+    mean_size = np.bincount(group, np.abs(samples), minlength=_GROUPS) / np.maximum(number, 1)
+    variance = np.maximum(np.pi / 2 * mean_size**2, least)
+    for _ in range(3):
+        kept = square <= (_CLIP_SIGMAS**2 * variance).astype(np.float32)[group]
+        members = group[kept]
+        number = np.bincount(members, minlength=_GROUPS)
+        total = np.bincount(members, square[kept], minlength=_GROUPS)
+        variance = np.maximum(total / np.maximum(number, 1), least)
+    return np.asarray(variance)
 
 
 def _fit(

@@ -30,9 +30,7 @@ def peer_at(tmp_path: Path) -> Iterator[Callable[..., Peer]]:
 def stage_on() -> Iterator[Callable[..., SerialStage]]:
     stages: list[SerialStage] = []
 
-    def build(
-        peer: Peer, dialect: str, *, name: str = "stage1", opened: bool = True, **settings: Any
-    ) -> SerialStage:
+    def build(peer: Peer, dialect: str, *, name: str = "stage1", opened: bool = True, **settings: Any) -> SerialStage:
         values: dict[str, Any] = {
             "port": peer.url,
             "dialect": dialect,

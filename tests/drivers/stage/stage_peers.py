@@ -28,6 +28,7 @@ class Peer:
         self._frame_bytes = frame_bytes
         self._link = link
         self._over = threading.Event()
+        self._connected = threading.Event()
         self._threads: list[threading.Thread] = []
         if link is None:
             self._listener = socket.create_server(("127.0.0.1", 0))
@@ -59,7 +60,9 @@ class Peer:
 
     def hang_up(self) -> None:
         """Close the connection, and go on listening for the next."""
-        self._connection.close()
+        assert self._connected.wait(5.0)
+        self._connected.clear()
+        self._connection.shutdown(socket.SHUT_RDWR)
 
     def say(self, data: bytes) -> None:
         """Send something unasked."""
@@ -87,6 +90,7 @@ class Peer:
                 self._connection, _ = self._listener.accept()
             except OSError:
                 continue
+            self._connected.set()
             with self._connection:
                 self._serve(self._connection.fileno())
 

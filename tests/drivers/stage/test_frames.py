@@ -129,9 +129,7 @@ def test_gsc_status_is_read_as_documented(answer: bytes, status: Status | None) 
     assert read_status("stage1", replies(), answer) == expected
 
 
-@pytest.mark.parametrize(
-    "answer", [b"", b"OK", b"1000,K,K", b"1000,K,K,RR", b"1e3,K,K,R", b"\xff0,K,K,R", b"-,K,K,R"]
-)
+@pytest.mark.parametrize("answer", [b"", b"OK", b"1000,K,K", b"1000,K,K,RR", b"1e3,K,K,R", b"\xff0,K,K,R", b"-,K,K,R"])
 def test_an_unknown_status_is_garbled(answer: bytes) -> None:
     with pytest.raises(GarbledReply):
         read_status("stage1", replies(), answer)

@@ -1,0 +1,25 @@
+"""Speed of the simulated camera, measured by the simulator itself: it is never imported, it is run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+from irpmd_rig.bench.timing import Row
+
+
+def run() -> list[Row]:
+    """Time one noisy 2048 x 2048 frame, pose known, beside a plain numpy rendering.
+
+    Raises
+    ------
+    OSError
+        If the simulator cannot be run.
+    """
+    ended = subprocess.run(
+        [sys.executable, "-m", "sims", "render-bench", "--json"], capture_output=True, text=True, check=False
+    )
+    if ended.returncode:
+        raise OSError(f"python -m sims render-bench failed: {ended.stderr.strip()}")
+    return [Row(**row) for row in json.loads(ended.stdout)["rows"]]

@@ -1,0 +1,1 @@
+"""From a depth map to facets, planes and steps."""
