@@ -125,7 +125,13 @@ class Instrument(Protocol):
         """Make safe and disconnect; never raises, may be repeated."""
 
     def stop(self) -> StopAnswer:
-        """End what is going on, from any thread, at any time; harmless when nothing is."""
+        """End what is going on, from any thread, at any time; harmless when nothing is.
+
+        Raises
+        ------
+        InstrumentError
+            The instrument could not be told, so that nobody knows whether it has ended.
+        """
 
 
 @runtime_checkable

@@ -78,7 +78,8 @@ def board_pose(world: "World", pose: int) -> FlatPose:
             shift = _shift(pixels, camera.size_px, board.margin_px, _PLACES[pose % len(_PLACES)], jitter)
             centre[:2] += shift * centre[2] / np.array(camera.fc_px)
         low, high = pixels.min(axis=0), pixels.max(axis=0)
-        edge = board.margin_px - 0.5
+        # The image reaches from -0.5 to size - 0.5; a tenth of a pixel is left for what the steps leave over.
+        edge = board.margin_px - 0.6
         if np.all(low >= edge) and np.all(high <= np.array(camera.size_px) - 1 - edge):
             return FlatPose(centre, axes)
     raise WorldError(f"board: in {_TRIES} tries no pose {pose} fits into the image with its margin")
@@ -89,9 +90,7 @@ def board_corners_mm(board: "Board") -> NDArray[np.float64]:
     columns, rows = board.squares
     x = (np.arange(1, columns) - columns / 2) * board.square_mm
     y = (rows / 2 - np.arange(1, rows)) * board.square_mm
-    return np.stack(
-        [*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((rows - 1, columns - 1))], axis=-1
-    )
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((rows - 1, columns - 1))], axis=-1)
 
 
 def _turned(angle: float) -> Matrix:
@@ -119,7 +118,7 @@ def _shift(
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     shift = np.zeros(2)
     for axis in range(2):
-        room = size[axis] - 1 - 2 * margin - (high[axis] - low[axis])
-        target = margin + room * (0.5 + 0.5 * place[axis] + (jitter[axis] if place[axis] == 0 else 0.0))
+        room = size[axis] - 2 * margin - (high[axis] - low[axis])
+        target = margin - 0.5 + room * (0.5 + 0.5 * place[axis] + (jitter[axis] if place[axis] == 0 else 0.0))
         shift[axis] = target - low[axis]
     return shift

@@ -64,9 +64,10 @@ def _rays(first: int, last: int, lens: NDArray[np.float64], out: NDArray[np.floa
 def monotone_reach(distortion: Brown) -> float:
     """Largest squared radius up to which the radial part of Brown's model grows (infinity: everywhere)."""
     k1, k2, _, _, k3 = distortion
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
-    turning = [root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0]
-    return min(turning, default=np.inf)
+    # The derivative 1 + 3 k1 r2 + 5 k2 r2^2 + 7 k3 r2^3 as a polynomial in 1 / r2, whose leading term is never small.
+    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
+    nearest = max((root.real for root in roots if abs(root.imag) < 1e-9), default=0.0)
+    return 1.0 / nearest if nearest > 1e-9 else np.inf
 
 
 def pixel_rays(camera: Camera) -> NDArray[np.float64]:
@@ -92,9 +93,7 @@ def _cached_rays(
     lens = np.array([*fc, *cc, *kc])
     over_rows(lambda first, last: _rays(first, last, lens, out), size[1])
     if not np.all(np.isfinite(out)):
-        raise WorldError(
-            "camera.kc: this distortion folds the image: some pixels have no direction of their own"
-        )
+        raise WorldError("camera.kc: this distortion folds the image: some pixels have no direction of their own")
     out.flags.writeable = False
     return out
 

@@ -61,14 +61,10 @@ def _optics(world: "World") -> list[Fault]:
     half = np.array(projector.size_px) / 2 * projector.pixel_um * 1e-3 / projector.focal_mm
     reach = monotone_reach(projector.distortion)
     k1, k2, _, _, k3 = projector.distortion
-    if math.isfinite(reach) and math.sqrt(reach) * (
-        1 + reach * (k1 + reach * (k2 + reach * k3))
-    ) < math.hypot(*half):
+    if math.isfinite(reach) and math.sqrt(reach) * (1 + reach * (k1 + reach * (k2 + reach * k3))) < math.hypot(*half):
         faults.append((("projector", "distortion"), "this distortion folds the picture before its corners"))
     if projector.warp_amplitude_px * 2 * math.pi >= projector.warp_period_px:
-        faults.append(
-            (("projector", "warp_amplitude_px"), "this warp folds the picture: at most period / 2 pi")
-        )
+        faults.append((("projector", "warp_amplitude_px"), "this warp folds the picture: at most period / 2 pi"))
     return faults
 
 

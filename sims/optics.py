@@ -97,9 +97,7 @@ def trace(world: "World", setup: Setup) -> Trace:
     scene, patches = scene_of(world, setup)
     shape = rays.shape[:2]
     vectors = [np.full((*shape, size), np.nan) for size in (3, 3, 3, 2)]
-    result = Trace(
-        np.zeros(shape, np.uint8), np.full(shape, -1, np.int16), *vectors, np.zeros(shape), np.zeros(shape)
-    )
+    result = Trace(np.zeros(shape, np.uint8), np.full(shape, -1, np.int16), *vectors, np.zeros(shape), np.zeros(shape))
     arrays = tuple(getattr(result, name) for name in Trace.__slots__)
     over_rows(lambda first, last: _trace_rows(scene, patches, rays, first, last, *arrays), shape[0])
     return result

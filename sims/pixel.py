@@ -115,7 +115,7 @@ def _on_sheet(scene: np.void, p: np.void, x: float, y: float) -> tuple[float, fl
 
 @inner_kernel
 def _footprint_albedo(scene: np.void, p: np.void, rays: Array, v: int, u: int, scratch: Scratch) -> float:
-    """Mean albedo of a chequered sheet over the whole pixel, whose corners follow from the neighbours' rays."""
+    """Mean albedo of a chequered sheet over the whole pixel; its corners follow from its neighbours."""
     left, right = max(u - 1, 0), min(u + 1, rays.shape[1] - 1)
     above, below = max(v - 1, 0), min(v + 1, rays.shape[0] - 1)
     across, down = 0.5 / (right - left), 0.5 / (below - above)
@@ -132,9 +132,7 @@ def _footprint_albedo(scene: np.void, p: np.void, rays: Array, v: int, u: int, s
 
 
 @inner_kernel
-def trace_pixel(
-    scene: np.void, patches: NDArray[np.void], rays: Array, v: int, u: int, scratch: Scratch
-) -> Hit:
+def trace_pixel(scene: np.void, patches: NDArray[np.void], rays: Array, v: int, u: int, scratch: Scratch) -> Hit:
     """Find what the ray of pixel (v, u) meets first, and the projector's light on its further way."""
     eye = (scene.camera_position[0], scene.camera_position[1], scene.camera_position[2])
     x, y = rays[v, u, 0], rays[v, u, 1]
@@ -170,9 +168,7 @@ def _glass_seen(scene: np.void, point: Point, normal: Point, way: Point) -> Hit:
 
 
 @inner_kernel
-def _mirror_seen(
-    scene: np.void, patches: NDArray[np.void], facet: int, point: Point, normal: Point, way: Point
-) -> Hit:
+def _mirror_seen(scene: np.void, patches: NDArray[np.void], facet: int, point: Point, normal: Point, way: Point) -> Hit:
     turned = _along(way, normal, -2.0 * _dot(way, normal))
     glass, glass_normal = meet_glass(scene, point, turned)
     if glass == np.inf or is_shaded(patches, facet, point, turned, glass):

@@ -46,9 +46,7 @@ def projected_light(projector: "Projector", image: NDArray[np.uint8] | None) -> 
     width, height = projector.size_px
     levels = 2**projector.bits - 1
     words = np.round(np.arange(256) / 255 * levels) / levels
-    response = (projector.black_level + (1 - projector.black_level) * words**projector.gamma).astype(
-        np.float32
-    )
+    response = (projector.black_level + (1 - projector.black_level) * words**projector.gamma).astype(np.float32)
     light = np.full((height, width), response[0]) if image is None else response[image]
     even, odd = _kernels(projector.lens_blur_px)
     rows = np.empty((height, 2 * width), np.float32)
@@ -141,9 +139,7 @@ def electrons_per_radiance(camera: "Camera", light: "Light", exposure_us: float)
     return energy_j * light.quantum_efficiency * light.wavelength_nm * 1e-9 / _PLANCK_TIMES_C_J_M
 
 
-def exposure(
-    world: "World", light: "Light", *, exposure_us: float, bits: int, lamp: bool, frame: int
-) -> Exposure:
+def exposure(world: "World", light: "Light", *, exposure_us: float, bits: int, lamp: bool, frame: int) -> Exposure:
     """Scales of frame number `frame`; the ambient light's flicker is drawn here."""
     scale = electrons_per_radiance(world.camera, light, exposure_us)
     flicker = np.random.default_rng([world.seed, 0xF11C, frame]).standard_normal() * light.ambient_flicker
@@ -156,9 +152,7 @@ def exposure(
     )
 
 
-def render(
-    camera: "Camera", light: Image, scene: LightMap, shot: Exposure
-) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def render(camera: "Camera", light: Image, scene: LightMap, shot: Exposure) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Render one frame: uint8 (8 bits) or uint16 (10 bits), of the light map's shape."""
     reach = math.ceil(_TAIL * camera.psf_px)
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(camera.psf_px, 1e-6)) ** 2)
@@ -181,9 +175,7 @@ def render(
     out = np.empty(scene.column.shape, np.uint8 if shot.bits == 8 else np.uint16)
     flat = light.reshape(-1)
     over_rows(
-        lambda first, last: _render_rows(
-            flat, light.shape[1], scene, taps, numbers, shot.key, first, last, out
-        ),
+        lambda first, last: _render_rows(flat, light.shape[1], scene, taps, numbers, shot.key, first, last, out),
         out.shape[0],
     )
     return out
@@ -241,9 +233,7 @@ def _render_rows(
     for v in range(first - reach, last + reach):
         # The image's edge rows and columns stand for what lies beyond them.
         source = min(max(v, 0), rows - 1)
-        _sample_row(
-            light, stride, scene.column[source], scene.row[source], scene.factor[source], numbers[0], middle
-        )
+        _sample_row(light, stride, scene.column[source], scene.row[source], scene.factor[source], numbers[0], middle)
         if numbers[1] > np.float32(0.0):
             _add_scaled(numbers[1], scene.lamp[source], middle)
         sharp[:reach] = sharp[reach]
@@ -259,6 +249,4 @@ def _render_rows(
         for k in range(taps.size):
             _add_scaled(taps[k], ring[(row - first + k) % taps.size], electrons)
         gaussian_row(key, row, noise)
-        words_row(
-            electrons, noise, numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], out[row]
-        )
+        words_row(electrons, noise, numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], out[row])

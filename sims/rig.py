@@ -60,8 +60,8 @@ class SimulatedRig:
         Parameters
         ----------
         subject : str
-            "mirror", "plate", "board" (in its free pose number `pose`), "board_on_plate", "nothing", or an object
-            of the world.
+            "mirror", "plate", "board" (in its free pose number `pose`), "board_on_plate", "nothing", or an
+            object of the world.
 
         Raises
         ------

@@ -172,9 +172,7 @@ def _board_on_plate(world: "World", setup: Setup) -> Patch:
     sheet = _sheet(world.camera, pose, np.array(world.plate.size_mm), world.plate.albedo, chequered=True)
     corners = np.column_stack([sheet.polygon, np.zeros(4)]) @ plate.axes + plate.centre_mm
     outline = (corners - pose.centre_mm) @ pose.axes.T
-    return Patch(
-        sheet.origin, sheet.axes, outline[:, :2], kind=DIFFUSE, reflectance=sheet.reflectance, chequered=True
-    )
+    return Patch(sheet.origin, sheet.axes, outline[:, :2], kind=DIFFUSE, reflectance=sheet.reflectance, chequered=True)
 
 
 def _fixed_in_world(world: "World", setup: Setup, pose: FlatPose) -> FlatPose:

@@ -34,8 +34,8 @@ def true_planes_mm(world: "World", name: str) -> NDArray[np.float64]:
 def true_steps_mm(world: "World", name: str) -> list[float]:
     """Step heights between neighbouring facets of an object, in rising order.
 
-    Of two flat facets, the difference of their (extended) planes along z, halfway between the centroids of their
-    outlines; where no facet is tilted this is the step of the world file. Of freeform mirrors, the difference
+    Of two flat facets, the difference of their (extended) planes along z, halfway between the centroids of
+    their outlines; where no facet is tilted this is the step of the world file. Of freeform mirrors, the difference
     along z of their surfaces at the origins of their frames, bumps left out.
 
     Raises
@@ -46,21 +46,16 @@ def true_steps_mm(world: "World", name: str) -> list[float]:
     patches = _facets(world, name)
     if not all(patch.is_flat for patch in patches):
         return [float(upper.origin[2] - lower.origin[2]) for lower, upper in pairwise(patches)]
-    return [
-        float(
-            upper.origin[2]
-            - lower.origin[2]
-            - (upper.origin - lower.origin)[:2] @ np.add(upper.slope, lower.slope) / 2
-        )
-        for lower, upper in pairwise(patches)
-    ]
+    planes = true_planes_mm(world, name)
+    middles = [(lower.origin + upper.origin)[:2] / 2 for lower, upper in pairwise(patches)]
+    return [float((planes[k + 1] - planes[k]) @ (1.0, *middle)) for k, middle in enumerate(middles)]
 
 
 def true_d_mm(world: "World") -> float:
     """Distance d at stage1 = 0 along the reference's normal, from below the glass's centre to its plane.
 
-    It begins at (x, y of the centre, 0) of frame M. The glass turns about its centre, so d is the z of the centre
-    whatever the tilts; a bow leaves the centre where it is.
+    It begins at (x, y of the centre, 0) of frame M. The glass turns about its centre, so d is the z of the
+    centre whatever the tilts; a bow leaves the centre where it is.
     """
     return world.glass.centre_mm[2]
 

@@ -18,6 +18,7 @@ from drivers.stage.dialect import (
     SpeedRange,
     SpeedTable,
 )
+from drivers.stage.frames import Encoder, Values
 from drivers.values import StageCapabilities
 
 
@@ -137,6 +138,15 @@ class Axis:
             unverified=tuple(f"{entry.fact}: {entry.verify}" for entry in dialect.unverified),
         )
 
+    def encoder(self) -> Encoder:
+        """Writer of this axis's frames."""
+        return Encoder(self.device, self.dialect, self.byte_order)
+
+    def preview(self, counts: int, drive: Drive) -> tuple[bytes, ...]:
+        """Frames of a move by (or, in an absolute dialect, to) a number of counts."""
+        values = Values(self.settings.axis, counts, drive.code)
+        return tuple(self.encoder().encode(command, values) for command in self.dialect.actions.move)
+
     def check_position(self, position_mm: float) -> None:
         """Check a target before anything is sent.
 
@@ -156,6 +166,11 @@ class Axis:
                 f"{position_mm:g} mm is outside the soft limits",
                 f"give {lower_mm:g} to {upper_mm:g} mm",
             )
+
+    @property
+    def window_counts(self) -> float:
+        """In-position window, in counts; half a count is the rounding of a target itself."""
+        return max(self.settings.in_position_mm * self.counts_per_mm, 0.5)
 
     def scale(self, zero_mm: float) -> Scale:
         """Scale of the axis once its zero is known."""

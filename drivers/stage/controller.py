@@ -3,7 +3,7 @@
 from drivers.errors import Unsupported
 from drivers.stage.axis import Axis, Drive
 from drivers.stage.dialect import Command, Commands, Replies
-from drivers.stage.frames import Encoder, Status, Values, read_acknowledge, read_busy, read_status
+from drivers.stage.frames import Status, Values, read_acknowledge, read_busy, read_status
 from drivers.stage.port import Cancelled, Port, never
 
 
@@ -15,7 +15,7 @@ class Controller:
         self._axis = axis
         self._device = axis.device
         self._actions = axis.dialect.actions
-        self._encoder = Encoder(axis.device, axis.dialect, axis.byte_order)
+        self._encoder = axis.encoder()
 
     @property
     def reads_position(self) -> bool:

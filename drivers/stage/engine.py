@@ -20,7 +20,7 @@ from drivers.stage.axis import Scale, SerialStageSettings, resolve
 from drivers.stage.controller import Controller
 from drivers.stage.dialect import load_dialect
 from drivers.stage.frames import Status
-from drivers.stage.motion import STOP_S, Move, Watch, begun
+from drivers.stage.motion import Move, Watch, begun
 from drivers.stage.port import LINE_LIMIT_S, acquire, never, release
 from drivers.values import Position, StageCapabilities, StageCondition, StageState, StopAnswer, TravelLimits
 
@@ -51,6 +51,7 @@ class SerialStage:
         self._generation = 0
         self._scale: Scale | None = None
         self._counts = 0
+        self._rested_at: int | None = None
         self._move: Move | None = None
         self._target_mm: float | None = None
         self._failure: InstrumentError | None = None
@@ -150,6 +151,7 @@ class SerialStage:
                 raise
             finally:
                 self._move = None
+            self._rested_at = counts
             self._scale = self._axis.scale(self._axis.settings.home_position_mm)
             return Position(self._scale.to_mm(counts), measured=True)
 
@@ -170,6 +172,7 @@ class SerialStage:
             self._scale = self._failure = self._target_mm = self._move = None
             controller.zero()
             self._counts = controller.status().counts if controller.reads_position else 0
+            self._rested_at = self._counts
             unscaled = self._axis.scale(0.0)
             self._scale = self._axis.scale(position_mm - unscaled.to_mm(self._counts))
             return Position(position_mm, measured=controller.reads_position)
@@ -196,8 +199,9 @@ class SerialStage:
             self._refuse_while_moving(controller)
             status = controller.status() if controller.reads_position else None
             start = status.counts if status else self._counts
+            self._check_rest(start)
             target = scale.to_counts(position_mm)
-            self._failure, self._target_mm = None, position_mm
+            self._failure, self._target_mm, self._rested_at = None, position_mm, None
             at_limit = status is not None and status.at_limit
             if start == target:
                 self._move = begun(self._axis, self._drive, start, target, at_limit=at_limit)
@@ -237,7 +241,7 @@ class SerialStage:
         except (MotionFailed, LimitReached, DeviceLost) as error:
             self._failure, self._move = error, None
             raise
-        self._move = None
+        self._move, self._rested_at = None, reached
         return Position(scale.to_mm(reached), controller.reads_position)
 
     def stop(self) -> StopAnswer:
@@ -259,8 +263,7 @@ class SerialStage:
             left_s = 0.0 if move is None else move.left_s()
             return StopAnswer(stopped=left_s == 0.0, ends_in_s=left_s)
         controller.port.connect(self._name, patience_s=0.0, cancelled=never)
-        controller.stop()
-        self._watch(controller).until_idle(STOP_S)
+        self._watch(controller).halt()
         return StopAnswer(stopped=True)
 
     def position(self) -> Position:
@@ -276,6 +279,18 @@ class SerialStage:
         return self._position(controller, controller.status() if controller.reads_position else None)
 
     # --- settings and state
+
+    def preview(self, distance_mm: float) -> tuple[bytes, ...]:
+        """Show the frames of a move by `distance_mm` from the axis's zero counts; nothing is sent.
+
+        For a first contact with a box whose dialect is unverified.
+
+        Raises
+        ------
+        Refused
+            Too far for one command.
+        """
+        return self._axis.preview(self._axis.scale(0.0).to_counts(distance_mm), self._drive)
 
     def set_speed(self, speed_mm_per_s: float) -> float:
         """Set the speed of later moves; returns the nearest that the controller has, which is now in force.
@@ -363,6 +378,16 @@ class SerialStage:
             raise Refused(self._name, "the axis has no zero since it was opened or came back", how)
         return scale
 
+    def _check_rest(self, counts: int) -> None:
+        """A controller that was switched off and on keeps its line, but not its counts."""
+        if self._rested_at is not None and abs(counts - self._rested_at) > self._axis.window_counts:
+            self._scale = None
+            raise Refused(
+                self._name,
+                f"the controller's counts changed from {self._rested_at} to {counts} while the axis stood still",
+                "it was switched off, or moved by hand: home or zero the axis again",
+            )
+
     def _refuse_while_moving(self, controller: Controller) -> None:
         if controller.reads_position:
             moving = controller.busy()
@@ -392,8 +417,7 @@ class SerialStage:
         self._scale = self._move = None
         if controller.reads_position:
             if controller.busy() and self._axis.dialect.actions.stop is not None:
-                controller.stop()
-                self._watch(controller).until_idle(STOP_S)
+                self._watch(controller).halt()
             controller.status()
             controller.set_speed(self._drive)
 

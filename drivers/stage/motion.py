@@ -2,9 +2,10 @@
 
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
-from drivers.errors import InstrumentError, LimitReached, MotionFailed, TimedOut
+from drivers.errors import GarbledReply, InstrumentError, LimitReached, MotionFailed, TimedOut
 from drivers.stage.axis import Axis, Drive, Scale
 from drivers.stage.controller import Controller
 from drivers.stage.frames import Status
@@ -166,7 +167,7 @@ class Watch:
             self._stopped.wait(POLL_S)
         self._stopped.wait(self._settings.settle_s)
         status = self._read()
-        if status.busy or abs(status.counts) > self._window_counts():
+        if status.busy or abs(status.counts) > self._axis.window_counts:
             raise MotionFailed(
                 self._device,
                 f"homing ended at {status.counts} counts, not at 0",
@@ -174,13 +175,26 @@ class Watch:
             )
         return status.counts
 
+    def halt(self) -> None:
+        """Tell the controller to stop, and wait until nothing moves.
+
+        Raises
+        ------
+        InstrumentError
+            It could not be told, also the second time, or still moves.
+        """
+        try:
+            self._controller.stop()
+        except (GarbledReply, TimedOut):
+            # One bad answer is no reason to let a stage run on.
+            self._controller.stop()
+        self.until_idle(STOP_S)
+
     def halt_quietly(self) -> None:
         """Stop the motion if that can be done; what went wrong before is what the caller is told."""
         if self._axis.dialect.actions.stop is not None:
-            try:
-                self._controller.stop()
-            except InstrumentError:
-                return
+            with suppress(InstrumentError):
+                self.halt()
 
     def _read(self) -> Status:
         if self._stopped.is_set():
@@ -210,11 +224,7 @@ class Watch:
         )
 
     def _in_window(self, move: Move, status: Status) -> bool:
-        return abs(status.counts - move.target_counts) <= self._window_counts()
-
-    def _window_counts(self) -> float:
-        # Half a count is the rounding of the target itself.
-        return max(self._settings.in_position_mm * self._axis.counts_per_mm, 0.5)
+        return abs(status.counts - move.target_counts) <= self._axis.window_counts
 
     def _ended_elsewhere(self, move: Move, scale: Scale, status: Status) -> MotionFailed:
         reached_mm, target_mm = scale.to_mm(status.counts), scale.to_mm(move.target_counts)

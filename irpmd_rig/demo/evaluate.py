@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core import DEFINITION, Step, depth_influences, find_facets, fit_facets, step_heights
-from irpmd_rig.demo.procedure import STAGE_POSITIONS_MM, Calibration, Measurement
+from irpmd_rig.demo.procedure import Calibration, Measurement
 
 # The paper's stage is accurate to 1 um, at either position.
 _SIGMA_TRAVEL_MM = np.sqrt(2) * 1e-3
@@ -52,7 +52,6 @@ def evaluate(measurement: Measurement, calibration: Calibration) -> Evaluation:
             geometry.frame,
             calibration.rays,
             d_mm=geometry.d_mm,
-            delta_d_mm=STAGE_POSITIONS_MM[1] - STAGE_POSITIONS_MM[0],
             sigma_d_mm=geometry.sigma_d_mm,
             sigma_delta_d_mm=_SIGMA_TRAVEL_MM,
         )

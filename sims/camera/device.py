@@ -168,9 +168,12 @@ class CameraTwin:
         self.faults.check("write", name)
         if register.feature.kind == "command":
             self._command(name)
-        else:
-            with self._lock:
-                self._parameters.set(name, register.decode(data), acquiring=self.acquiring)
+            return
+        with self._lock:
+            self._parameters.set(name, register.decode(data), acquiring=self.acquiring)
+            pixel_format = self._parameters.frame().pixel_format
+        if name == "PixelFormat":
+            pixel_format.prepare()
 
     # ---- inside ----
 

@@ -50,15 +50,21 @@ class NodeMap:
         What the camera offers.
     model : str
         The camera's model, for the XML's head.
+
+    Attributes
+    ----------
+    registers : dict
+        Registers by address.
+    xml : bytes
+        The description that a client reads.
     """
 
     def __init__(self, features: tuple[Feature, ...], model: str):
-        self._registers: dict[int, Register] = {}
+        self.registers: dict[int, Register] = {}
         for number, feature in enumerate(features):
             for part in range(4 if feature.limited else 1):
                 address = _FIRST_ADDRESS + number * _STRIDE + 8 * part
-                self._registers[address] = Register(feature, _PARTS[part])
-        self.features = {feature.name: feature for feature in features}
+                self.registers[address] = Register(feature, _PARTS[part])
         self.xml = _xml(features, model).encode()
 
     def register(self, address: int, size: int) -> Register:
@@ -69,7 +75,7 @@ class NodeMap:
         Refusal
             If there is no register of that size.
         """
-        register = self._registers.get(address)
+        register = self.registers.get(address)
         if register is None or register.size != size:
             raise Refusal(Status.INVALID_ADDRESS, f"there is no register of {size} bytes at 0x{address:x}")
         return register

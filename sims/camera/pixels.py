@@ -11,33 +11,46 @@ Bytes = NDArray[np.uint8]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-def _plain(image: Image, lines: Bytes) -> None:
-    np.copyto(lines, image.view(np.uint8))
+def _plain(image: Image, memory: Bytes, line_bytes: int, stride: int) -> None:
+    lines = memory.reshape(-1, stride)
+    np.copyto(lines[:, :line_bytes], image.view(np.uint8))
 
 
 @numba.njit(cache=True, nogil=True)
-def _mono10p(image: Image, lines: Bytes) -> None:
+def _mono10p(image: Image, memory: Bytes, stride: int) -> None:
     """Four pixels in five bytes: a stream of 10-bit words, least significant bit first."""
     for row in range(image.shape[0]):
-        for group in range(image.shape[1] // 4):
-            first, second = image[row, 4 * group], image[row, 4 * group + 1]
-            third, fourth = image[row, 4 * group + 2], image[row, 4 * group + 3]
-            lines[row, 5 * group] = first & 0xFF
-            lines[row, 5 * group + 1] = first >> 8 | second << 2 & 0xFF
-            lines[row, 5 * group + 2] = second >> 6 | third << 4 & 0xFF
-            lines[row, 5 * group + 3] = third >> 4 | fourth << 6 & 0xFF
-            lines[row, 5 * group + 4] = fourth >> 2
+        place = row * stride
+        for column in range(0, image.shape[1], 4):
+            first, second = image[row, column], image[row, column + 1]
+            third, fourth = image[row, column + 2], image[row, column + 3]
+            memory[place] = first & 0xFF
+            memory[place + 1] = first >> 8 | second << 2 & 0xFF
+            memory[place + 2] = second >> 6 | third << 4 & 0xFF
+            memory[place + 3] = third >> 4 | fourth << 6 & 0xFF
+            memory[place + 4] = fourth >> 2
+            place += 5
 
 
 @numba.njit(cache=True, nogil=True)
-def _mono10_packed(image: Image, lines: Bytes) -> None:
+def _mono10_packed(image: Image, memory: Bytes, stride: int) -> None:
     """Two pixels in three bytes: the outer ones hold the upper eight bits, the middle one the lowest two."""
     for row in range(image.shape[0]):
-        for pair in range(image.shape[1] // 2):
-            left, right = image[row, 2 * pair], image[row, 2 * pair + 1]
-            lines[row, 3 * pair] = left >> 2
-            lines[row, 3 * pair + 1] = left & 3 | (right & 3) << 4
-            lines[row, 3 * pair + 2] = right >> 2
+        place = row * stride
+        for column in range(0, image.shape[1], 2):
+            left, right = image[row, column], image[row, column + 1]
+            memory[place] = left >> 2
+            memory[place + 1] = left & 3 | (right & 3) << 4
+            memory[place + 2] = right >> 2
+            place += 3
+
+
+def _compiled(kernel: Callable[[Image, Bytes, int], None]) -> Callable[[Image, Bytes, int, int], None]:
+    def pack(image: Image, memory: Bytes, _line_bytes: int, stride: int) -> None:
+        # One kind of array only: each other one would be compiled anew, in the middle of a stream.
+        kernel(np.require(image, requirements=["C", "W"]), memory, stride)
+
+    return pack
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +61,7 @@ class PixelFormat:
     value: int
     bits: int
     bits_per_pixel: int
-    _pack: Callable[[Image, Bytes], None]
+    _pack: Callable[[Image, Bytes, int, int], None]
 
     def line_bytes(self, width: int) -> int:
         """Bytes of a line of `width` pixels (a multiple of 4), without padding."""
@@ -61,15 +74,18 @@ class PixelFormat:
         """
         height, width = image.shape
         size = self.line_bytes(width)
-        lines = memory[: height * (size + padding)].reshape(height, size + padding)
-        self._pack(image, lines[:, :size])
+        self._pack(image, memory[: height * (size + padding)], size, size + padding)
+
+    def prepare(self) -> None:
+        """Compile what packs this format, so that no frame waits for it."""
+        self.pack(np.zeros((1, 4), np.uint8 if self.bits == 8 else np.uint16), np.zeros(8, np.uint8), 0)
 
 
 FORMATS = (
     PixelFormat("Mono8", 0x01080001, 8, 8, _plain),
     PixelFormat("Mono10", 0x01100003, 10, 16, _plain),
-    PixelFormat("Mono10p", 0x010A0046, 10, 10, _mono10p),
-    PixelFormat("Mono10Packed", 0x010C0004, 10, 12, _mono10_packed),
+    PixelFormat("Mono10p", 0x010A0046, 10, 10, _compiled(_mono10p)),
+    PixelFormat("Mono10Packed", 0x010C0004, 10, 12, _compiled(_mono10_packed)),
 )
 """What the camera offers; whether an xiQ calls its packed format Mono10p or Mono10Packed is not verified."""
 

@@ -91,7 +91,7 @@ ACCESS_BUSY = 4
 
 def device_record(identity: tuple[str, str, str, str, str, str], *, busy: bool) -> bytes:
     """Entry of the device list: id, vendor, model, serial number, version, user's name."""
-    return _DEVICE.pack(*(text.encode() for text in identity), ACCESS_BUSY if busy else ACCESS_READWRITE, 0)
+    return _DEVICE.pack(*(text.encode()[:63] for text in identity), ACCESS_BUSY if busy else ACCESS_READWRITE, 0)
 
 
 def opened_record(session: int, xml_address: int, xml_size: int, xml_name: str) -> bytes:

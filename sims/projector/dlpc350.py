@@ -18,7 +18,7 @@ from sims.clock import WorldClock
 from sims.projector.dlpc350_patterns import RgbImage
 from sims.projector.dlpc350_sequencer import Refused, Sequencer
 from sims.projector.player import Shown, SyncOutput
-from sims.projector.usb_device import Endpoint, Identity, UsbDevice
+from sims.projector.usb_device import Endpoint, Identity, UsbDevice, UsbFaults
 
 VENDOR, PRODUCT = 0x0451, 0x6401
 OUT, IN, PACKET_BYTES = 0x01, 0x81, 64
@@ -50,10 +50,11 @@ Handler = tuple[Callable[[], bytes] | None, Callable[[bytes], None] | None]
 
 
 class Dlpc350Faults:
-    """Faults of the controller, switchable from any thread while it runs."""
+    """Faults of the controller, switchable from any thread while it runs; `usb` holds those of its line."""
 
-    def __init__(self, sequencer: Sequencer) -> None:
+    def __init__(self, sequencer: Sequencer, usb: UsbFaults) -> None:
         self._sequencer = sequencer
+        self.usb = usb
         self._lock = threading.Lock()
         self._refusals = 0
 
@@ -96,7 +97,7 @@ class Dlpc350(UsbDevice):
     Attributes
     ----------
     faults
-        Faults of the controller; `usb_faults` holds those of the line.
+        What can be made to go wrong.
     player
         What is shown at any time; its one sync output is TRIG_OUT_1.
     """
@@ -124,7 +125,7 @@ class Dlpc350(UsbDevice):
         self._clock = clock
         self._sequencer = Sequencer(clock, video or (lambda: None), flash)
         self.player = self._sequencer.player
-        self.faults = Dlpc350Faults(self._sequencer)
+        self.faults = Dlpc350Faults(self._sequencer, self.usb_faults)
         self._registers = dict(KEPT)
         self._pending = b""
         self._commands = self._make_commands()
@@ -132,6 +133,14 @@ class Dlpc350(UsbDevice):
     def showing(self) -> Shown:
         """Return what is shown now; images are (1140, 912)."""
         return self.player.shown_at(self._clock.now())
+
+    def shown_at(self, time_s: float) -> Shown:
+        """Return what is shown at a time."""
+        return self.player.shown_at(time_s)
+
+    def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
+        """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps."""
+        return self.player.intervals(start_s, end_s)
 
     def on_sync(self, callback: Callable[[float], None]) -> None:
         """Call `callback(time_s)` at every leading edge of TRIG_OUT_1."""

@@ -17,7 +17,7 @@ from sims.projector.lightcommander_box import DATA_SOURCES, LightCommanderBox, R
 from sims.projector.lightcommander_frames import Request, RequestReader, Status, reply_frame
 from sims.projector.player import Shown, SyncOutput
 from sims.projector.sequence_file import LEDS, batch_steps
-from sims.projector.usb_device import Endpoint, Identity, UsbDevice
+from sims.projector.usb_device import Endpoint, Identity, UsbDevice, UsbFaults
 
 OUT, IN = 0x02, 0x86
 VENDOR, PRODUCT = 0xFFF0, 0x51AC
@@ -33,6 +33,34 @@ class _Operation:
 
     layout: struct.Struct | None
     handler: Handler
+
+
+class LightCommanderFaults:
+    """Faults of the box, switchable from any thread while it runs; `usb` holds those of its line."""
+
+    def __init__(self, box: LightCommanderBox, usb: UsbFaults) -> None:
+        self._box = box
+        self.usb = usb
+
+    @property
+    def led(self) -> str | None:
+        """The LED that is broken: it stays dark, and the driver reports a fault. Set None to mend it."""
+        return self._box.broken_led
+
+    @led.setter
+    def led(self, led: str | None) -> None:
+        if led is not None and led not in LEDS:
+            raise ValueError(f"no LED is called {led!r}: one of {', '.join(LEDS)}")
+        self._box.broken_led = led
+        self._box.update_light()
+
+    def overheat(self) -> None:
+        """Let the LED driver get too hot now: it switches off."""
+        self._box.overheat()
+
+    def miss_sync(self, edges: int = 1) -> None:
+        """Swallow the next sync edges."""
+        self._box.player.miss_sync(edges)
 
 
 class LightCommander(UsbDevice):
@@ -52,7 +80,7 @@ class LightCommander(UsbDevice):
     Attributes
     ----------
     faults
-        Faults of the box; `usb_faults` holds those of the line.
+        What can be made to go wrong.
     player
         What is shown at any time.
     """
@@ -72,7 +100,7 @@ class LightCommander(UsbDevice):
         self._usb_bytes_per_s = usb_bytes_per_s
         self._box = LightCommanderBox(clock, OUTPUTS, video)
         self.player = self._box.player
-        self.faults = self._box.faults
+        self.faults = LightCommanderFaults(self._box, self.usb_faults)
         self._reader = RequestReader()
         self._last_byte_s = time.monotonic()
         self._operations = self._make_operations()
@@ -80,6 +108,14 @@ class LightCommander(UsbDevice):
     def showing(self) -> Shown:
         """Return what is shown now."""
         return self.player.shown_at(self._clock.now())
+
+    def shown_at(self, time_s: float) -> Shown:
+        """Return what is shown at a time."""
+        return self.player.shown_at(time_s)
+
+    def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
+        """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps."""
+        return self.player.intervals(start_s, end_s)
 
     def on_sync(self, callback: Callable[[float], None], output: int = 0) -> None:
         """Call `callback(time_s)` at every leading edge of a sync output."""
@@ -179,7 +215,7 @@ class LightCommander(UsbDevice):
             (0x0708, "", lambda: struct.pack("<d", 1e6 / box.sequence.period_us if box.sequence else 0.0)),
             (0x0709, "", lambda: struct.pack("<H", box.sequence.patterns if box.sequence else 0)),
             (0x070A, "", lambda: b"\x00"),
-            (0x070B, "", flag(lambda: box.faults.led is not None)),
+            (0x070B, "", flag(lambda: box.broken_led is not None)),
             (0x070C, "B", lambda led: bytes([_led(led) in box.lit])),
             (0x070D, "", flag(lambda: bool(box.lit))),
             (0x070E, "B", lambda led: bytes([box.too_hot and bool(_led(led))])),

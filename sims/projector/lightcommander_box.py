@@ -37,34 +37,6 @@ class Refusal(Exception):  # noqa: N818 -- an answer on the wire, not an error o
         self.status = status
 
 
-class LightCommanderFaults:
-    """Faults of the box, switchable from any thread while it runs."""
-
-    def __init__(self, box: "LightCommanderBox") -> None:
-        self._box = box
-        self._led: str | None = None
-
-    @property
-    def led(self) -> str | None:
-        """The LED that is broken: it stays dark, and the driver reports a fault. Set None to mend it."""
-        return self._led
-
-    @led.setter
-    def led(self, led: str | None) -> None:
-        if led is not None and led not in LEDS:
-            raise ValueError(f"no LED is called {led!r}: one of {', '.join(LEDS)}")
-        self._led = led
-        self._box.update_light()
-
-    def overheat(self) -> None:
-        """Let the LED driver get too hot now: it switches off."""
-        self._box.overheat()
-
-    def miss_sync(self, edges: int = 1) -> None:
-        """Swallow the next sync edges."""
-        self._box.player.miss_sync(edges)
-
-
 @dataclass(frozen=True, slots=True)
 class _VideoPattern:
     """Whatever arrives at the video input at the time of looking."""
@@ -102,13 +74,13 @@ class LightCommanderBox:
         self._lock = threading.RLock()
         self._video = video
         self.player = Player(clock, outputs)
-        self.faults = LightCommanderFaults(self)
         self.planes = [EMPTY_PLANE] * PLANES
         self.registers: dict[int, int] = {}
         self.sequence: Sequence | None = None
         self.parked = False
         self.too_hot = False
         self.lit: tuple[str, ...] = ()
+        self.broken_led: str | None = None
         self._lut: list[int] | None = None
         self._order: tuple[int, tuple[int, ...]] | None = None
         self._leds = {led: _Led() for led in LEDS}
@@ -326,7 +298,7 @@ class LightCommanderBox:
             self.lit = tuple(
                 led
                 for led in named
-                if on and self._leds[led].enabled and self._leds[led].percent > 0 and led != self.faults.led
+                if on and self._leds[led].enabled and self._leds[led].percent > 0 and led != self.broken_led
             )
             levels = {led: self._leds[led].percent / 100 for led in self.lit}
             self.player.light(Light(self._clock.now(), levels))

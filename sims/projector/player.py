@@ -74,18 +74,18 @@ class Programme:
 
     def at(self, time_s: float) -> tuple[int, float] | None:
         """Return (index of the pattern, seconds since it came), or None if there is none at that time."""
-        since_s = time_s - self.start_s
-        if since_s < 0 or not self.patterns or time_s >= self.end_s:
+        # A nanosecond ahead, so that a pattern's own start, as computed, is never before it.
+        since_s = time_s - self.start_s + ROUNDING_S
+        if since_s < 0 or not self.patterns or time_s + ROUNDING_S >= self.end_s:
             return None
         if math.isinf(self.period_s):
             return 0, since_s
-        # The addition keeps a pattern's own start on its side of the division's rounding.
-        passed = math.floor(since_s / self.pass_s + 1e-9)
+        passed = math.floor(since_s / self.pass_s)
         within_s = since_s - passed * self.pass_s
-        index = math.floor(within_s / self.period_s + 1e-9)
+        index = math.floor(within_s / self.period_s)
         if index >= len(self.patterns):
             return None
-        into_s = max(0.0, within_s - index * self.period_s)
+        into_s = within_s - index * self.period_s
         return (index, into_s) if into_s < self.exposure_s else None
 
     def edges(self, after_s: float, until_s: float) -> Iterator[float]:
@@ -210,9 +210,7 @@ class Player:
         return self._place(time_s)[1]
 
     def shown_at(self, time_s: float) -> Shown:
-        """Return what is shown at a time; the LEDs are dark between the exposures of a programme that
-        runs.
-        """
+        """Return what is shown at a time; a running programme is dark between its exposures."""
         with self._lock:
             light = self._lights[bisect_right(self._lights, time_s, key=_start) - 1]
         levels = {led: level for led, level in light.levels.items() if level > 0}
@@ -230,7 +228,12 @@ class Player:
 
         That is what a camera needs whose exposure does not lie within one pattern.
         """
-        cuts = sorted({start_s, end_s, *self._changes(start_s, end_s)})
+        cuts = [start_s]
+        for cut_s in sorted(self._changes(start_s, end_s)):
+            # The end of one pattern and the start of the next may differ by a rounding.
+            if cut_s - cuts[-1] > ROUNDING_S and end_s - cut_s > ROUNDING_S:
+                cuts.append(cut_s)
+        cuts.append(end_s)
         return [(from_s, to_s, self.shown_at((from_s + to_s) / 2)) for from_s, to_s in pairwise(cuts)]
 
     def _changes(self, start_s: float, end_s: float) -> Iterator[float]:

@@ -144,6 +144,7 @@ class UsbDevice:
         self._halted: set[int] = set()
         self._queues: dict[int, deque[bytes]] = {}
         self._changed = threading.Condition(threading.RLock())
+        self._receiving = threading.Lock()
         self._plug: Callable[[], None] = lambda: None
         self._unplug: Callable[[], None] = lambda: None
 
@@ -308,7 +309,9 @@ class UsbDevice:
     def _transfer_out(self, endpoint: int, data: bytes, wait: _Wait) -> int:
         self._endpoint(endpoint)
         self._begin(endpoint, wait)
-        self.take(endpoint, data)
+        # One after the other, whatever threads they come from: there is one wire.
+        with self._receiving:
+            self.take(endpoint, data)
         return len(data)
 
     def _transfer_in(self, endpoint: int, size: int, wait: _Wait) -> bytes:

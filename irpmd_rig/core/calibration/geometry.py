@@ -140,7 +140,7 @@ def calibrate_geometry(
     glass_seen = _seen(position, rays, glass_mask, "glass")
     mirror, glass = mirror_seen.plane(placement), glass_seen.plane(placement)
     frame = reference_frame(mirror, camera_xy_mm=drawing.camera_xy_mm, heading=drawing.heading)
-    normal, offset = frame.plane(glass)
+    normal, _ = frame.plane(glass)
     d_mm = _distance(mirror, glass, drawing)
     depth = placement.depth_mm(glass_seen.position_mm, rays)
     seen_heights = (depth[..., None] * frame.directions(rays))[..., 2][glass_seen.mask] + frame.camera_mm[2]

@@ -90,10 +90,24 @@ def find_facets(
     known = np.isfinite(depth_mm) if valid is None else np.isfinite(depth_mm) & valid
     if known.sum() < _FEWEST_PIXELS:
         raise EvaluationError(f"only {int(known.sum())} pixels have a depth: no facet can be found")
+    rows, columns = np.nonzero(known)
+    window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    inside = _find(depth_mm[window], known[window], erosion_px, min_pixels)
+    labels = np.zeros(depth_mm.shape, dtype=np.int32)
+    labels[window] = inside.labels
+    return Facets(labels, inside.count, inside.noise_mm)
+
+
+def _find(
+    depth_mm: NDArray[np.floating], known: NDArray[np.bool_], erosion_px: int, min_pixels: int | None
+) -> Facets:
     noise = pixel_noise_mm(depth_mm, known)
     smooth, whole, change = _continuity(depth_mm, known)
-    labels = _connected(whole & (change <= _typical_limit(change[whole])))
-    labels[~known | (np.abs(depth_mm - smooth) > max(_OUTLIER_SIGMAS * noise, 1e-9))] = 0
+    # The filter computes in single precision: smaller changes than its rounding mean nothing.
+    rounding = 8 * float(np.spacing(np.abs(smooth[known]).max()))
+    edge = _typical_limit(change[whole]) + rounding
+    labels = _connected(whole & (change <= edge))
+    labels[~known | (np.abs(depth_mm - smooth) > max(_OUTLIER_SIGMAS * noise, edge))] = 0
     labels = _eroded(labels, erosion_px) * (labels > 0)
     return _numbered(labels, depth_mm, noise, min_pixels)
 
@@ -132,7 +146,7 @@ def _continuity(
 def _typical_limit(change: NDArray[np.float32]) -> float:
     middle = float(np.median(change))
     spread = 1.4826 * float(np.median(np.abs(change - middle)))
-    return middle + _EDGE_SIGMAS * spread + 1e-9
+    return middle + _EDGE_SIGMAS * spread
 
 
 def _connected(smooth_region: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -35,7 +35,6 @@ def depth_influences(
     rays: NDArray[np.float64],
     *,
     d_mm: float,
-    delta_d_mm: float,
     sigma_d_mm: float,
     sigma_delta_d_mm: float,
     tolerance: AlignmentTolerance | None = None,
@@ -50,10 +49,10 @@ def depth_influences(
         Its result.
     frame, rays
         The camera, for the angle theta of each ray to the reference's normal.
-    d_mm, delta_d_mm : float
-        The distances used.
+    d_mm : float
+        The distance used.
     sigma_d_mm, sigma_delta_d_mm : float
-        Their standard deviations.
+        Standard deviations of d and of the travel.
     tolerance : AlignmentTolerance, optional
         A rig aligned by hand by default.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def step_heights(
         for influence in influences
     }
     steps = []
-    for index, (lower, upper) in enumerate(zip(planes[:-1], planes[1:], strict=True)):
+    for index, (lower, upper) in enumerate(pairwise(planes)):
         middle = 0.5 * (lower.centre_mm + upper.centre_mm)
         parts = {"calibration": 0.0, "alignment": 0.0}
         for influence, means in moved.items():

@@ -199,9 +199,9 @@ def _to_polar(s: Floats, c: Floats, scale: np.float32, n: int) -> None:
 
 @njit(**_SIMD)
 def _finished(order: np.float32, rest: np.float32, gates: Gates) -> np.float32:
-    total = order + rest
-    order = order + gates.period if total < gates.low else order
-    order = order - gates.period if total >= gates.high else order
+    # From above first: what rounds up to a whole period may lie just below it.
+    order = order - gates.period if order + rest >= gates.high else order
+    order = order + gates.period if order + rest < gates.low else order
     return order * _TAU_HIGH + (order * _TAU_LOW + rest * (_TAU_HIGH + _TAU_LOW))
 
 
@@ -245,10 +245,12 @@ def _to_beat(finest: Floats, turns: Floats, n: int) -> None:
 @njit(**_SIMD)
 def _first_rung(
     turns: Floats,
+    modulation: Floats,
     lowest: np.float32,
     absolute: Floats,
     worst: Floats,
     rest: Floats,
+    weakest: Floats,
     n: int,
 ) -> None:
     """Start of a ladder: the coarsest phase, cut at ``lowest`` turns."""
@@ -257,6 +259,7 @@ def _first_rung(
         absolute[i] = turns[i] + _ONE if turns[i] < lowest else turns[i]
         worst[i] = _ZERO
         rest[i] = _ZERO
+        weakest[i] = modulation[i]
 
 
 @njit(**_SIMD)
@@ -370,8 +373,7 @@ def _climb(
     if rungs.beats:
         for j in range(finest):
             _to_beat(turns[finest], turns[j], n)
-    _first_rung(turns[0], rungs.lowest, absolute, worst, rest, n)
-    weakest[:n] = strength[0, :n]
+    _first_rung(turns[0], strength[0], rungs.lowest, absolute, worst, rest, weakest, n)
     for j in range(1, finest + 1):
         _next_rung(turns[j], rungs.ratios[j - 1], rungs.corrections[j - 1], absolute, worst, rest, n)
         _gather(strength[0], weakest, strength[j], n)

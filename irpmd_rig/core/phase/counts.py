@@ -111,9 +111,7 @@ def _optimum(counts: tuple[float, ...]) -> Ladder:
     )
 
 
-def _weighted_mean(
-    counts: tuple[float, ...], order: tuple[int, ...], rungs: list[float]
-) -> tuple[float, ...]:
+def _weighted_mean(counts: tuple[float, ...], order: tuple[int, ...], rungs: list[float]) -> tuple[float, ...]:
     # With r_i = (beat i) - D_i/c0 * phi_0 the mean of c0/c_k phi_k, weighted by c_k^2, is
     # phi_0 - sum g_i r_i, g_i = c_i c0 / sum c^2; and r_i = D_i/D_{i+1} (residual_i + r_{i+1}).
     finest = rungs[-1]

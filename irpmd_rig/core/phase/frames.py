@@ -96,13 +96,14 @@ def checked_frames(
         largest, quantum = float(np.abs(response.linear_values).max()), quantum * response.step
     # A weighted sum of a few such values is rounded by about eps times the largest.
     rounding = 16 * float(np.finfo(np.float32).eps) * largest
+    tiny = float(np.finfo(np.float32).tiny)
     return Frames(
         values=values,
         response=response,
         saturation_dn=saturation,
         full_scale_dn=assumed if saturation_dn is None else float("inf"),
-        rounding_dn=max(rounding, float(np.finfo(np.float32).tiny)),
-        least_variance_dn2=max(quantum**2 / 12, (rounding / 4) ** 2),
+        rounding_dn=max(rounding, tiny),
+        least_variance_dn2=max(quantum**2 / 12, (rounding / 4) ** 2, tiny),
     )
 
 

@@ -5,7 +5,8 @@ harmonic of fringes that are not sinusoidal. Harmonics are smooth over the pictu
 leftover is taken of a mixed difference over cells of 2 x 2 pixels, (I00 - I01 - I10 + I11) / 2, which keeps
 the variance and removes whatever varies along one direction only. Three steps leave nothing over:
 there the disagreement of the sets (residual of the finest rung of the ladder) takes its place, and a single
-set of three steps is judged by the mixed difference itself, which also holds the fringes' own curvature.
+set of three steps is judged by the mixed difference itself, which also holds the fringes' own curvature (along a
+single row not even that: only the rounding is known).
 """
 
 from __future__ import annotations
@@ -81,9 +82,7 @@ def _spread(length: int, most: int) -> npt.NDArray[np.intp]:
     return np.linspace(0, length - 1, min(length, most)).astype(np.intp)
 
 
-def _places(
-    values: npt.NDArray[Any], saturation_dn: float
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _places(values: npt.NDArray[Any], saturation_dn: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Rows and columns where runs of cells start: some anywhere, most where the first set varies.
 
     An object often fills a few hundredths of the picture: cells spread evenly would hardly meet it.
@@ -149,6 +148,8 @@ def _redundancy(cells: Floats, rungs: Ladder) -> tuple[Floats, Floats]:
         # sigma_phi = sqrt(2 / N) sigma_I / B, solved for sigma_I.
         noise = _mixed(residual * local * np.sqrt(steps / 2))
         return noise.astype(np.float32).ravel(), local.mean(axis=-1).ravel()
+    if steps == 3 and cells.shape[-1] == 1:
+        return np.empty(0, np.float32), np.empty(0, np.float32)
     mixed = _mixed(cells)
     if steps > 3:
         null_space = np.linalg.svd(basis)[2][3:].astype(np.float32)

@@ -50,9 +50,7 @@ class CameraResponse:
         if not np.all(np.diff(camera) > 0):
             raise CalibrationError("the camera values of a response must increase strictly")
         if not (np.all(np.diff(linear) >= 0) and linear[-1] > linear[0]):
-            raise CalibrationError(
-                "the linear values of a response must never decrease, and must increase over all"
-            )
+            raise CalibrationError("the linear values of a response must never decrease, and must increase over all")
 
     def apply(self, frames: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Linear values of frames of any shape (uint8, uint16 or float32), as float32 of the same shape.

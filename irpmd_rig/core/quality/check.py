@@ -117,11 +117,15 @@ class _Examination:
     def __init__(self, sample: Sample, counts: Floats, floor_dn2: float, limits: SmallLimits):
         values = sample.values_dn
         sets, steps, _ = values.shape
-        self._counts = counts * _direction(values, counts)
         self._recorded = values.reshape(sets * steps, -1)
         variation = float(np.median(np.sqrt(2) * self._recorded.std(axis=0)))
-        court = Court(values, sample.tile, self._counts, floor_dn2)
-        source, verdicts = find_orders(court, sets * steps, variation, sample.noise_dn)
+        trials = []
+        for signed in _directions(counts):
+            court = Court(values, sample.tile, signed, floor_dn2)
+            trials.append((*find_orders(court, sets * steps, variation, sample.noise_dn), signed))
+            if trials[-1][2] == 0:
+                break
+        source, verdicts, _, self._counts = min(trials, key=lambda t: t[2])
         self._present = (source >= 0).reshape(sets, steps)
         self._values = self._recorded[np.maximum(source, 0)].reshape(values.shape)
         self.findings = [f for v in verdicts for f in self._of_order(v)]
@@ -151,9 +155,7 @@ class _Examination:
     def _wrong(self, place: int, verdict: Verdict) -> FrameFinding:
         """Say what is the matter with a frame that is known to be wrong."""
         steps = self._values.shape[1]
-        what = describe(
-            self._recorded, self._values, self._present, self._counts, place, verdict.variance_dn2
-        )
+        what = describe(self._recorded, self._values, self._present, place, verdict.variance_dn2)
         other = None if what.other is None else _place(what.other, steps)
         kind = what.kind
         if kind == "duplicate" and place + 2 == len(self._recorded) and what.other == place + 1:
@@ -165,7 +167,8 @@ class _Examination:
     def _small(self, sample: Sample, limits: SmallLimits) -> list[FrameFinding]:
         """List the findings that leave the frames in their places."""
         noise = None
-        if self.between:
+        # An absent frame leaves its set prone to harmonics, which would reach the others through the phases.
+        if self.between and self._present.all():
             result = misfit(self._values[..., ::4], self._present, self._counts, between=True)
             noise = None if result is None else float(np.sqrt(result.variance_dn2()))
         steps = self._values.shape[1]
@@ -188,15 +191,11 @@ def _place(frame: int, steps: int) -> tuple[int, int]:
     return frame // steps, frame % steps
 
 
-def _direction(values: Floats, counts: Floats) -> float:
-    """Tell whether the phase grows (1) or falls (-1) with the coordinate; whole counts do not care."""
+def _directions(counts: Floats) -> list[Floats]:
+    """Counts for a phase that grows with the coordinate, and for one that falls: whole counts do not care."""
     if counts.size == 1 or np.all(counts == np.round(counts)):
-        return 1.0
-    few = values[..., :: max(1, values.shape[2] // NOISE_PIXELS)]
-    present = np.ones(values.shape[:2], bool)
-    fits = [misfit(few, present, sign * counts, between=True) for sign in (1.0, -1.0)]
-    growing, falling = (np.inf if f is None else float(f.clipped().mean()) for f in fits)
-    return 1.0 if growing <= falling else -1.0
+        return [counts]
+    return [counts, -counts]
 
 
 def _notes(examined: _Examination, sets: int, steps: int) -> list[str]:

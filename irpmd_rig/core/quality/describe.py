@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.quality.model import common_coordinate, fit_sets, sinusoid
+from irpmd_rig.core.quality.model import fit_sets, harmonic, refit_incomplete, sinusoid, without_harmonics
 from irpmd_rig.core.quality.report import FindingKind
 
 Floats = NDArray[np.float64]
@@ -41,34 +41,33 @@ class _Expected:
     weight: Floats
 
 
-def _expected(values: Floats, present: NDArray[np.bool_], counts: Floats, place: int) -> _Expected:
-    """Predict the frame at `place` from its set, or through the phases of the other sets."""
+def _expected(values: Floats, present: NDArray[np.bool_], place: int) -> _Expected:
+    """Predict the frame at `place` from the others of its set (two suffice beside the mean of other sets)."""
     sets, steps, _ = values.shape
     k, n = divmod(place, steps)
-    fits = fit_sets(values, present)
+    fits = refit_incomplete(values, present, fit_sets(values, present))
     angle = 2 * np.pi * n / steps
     weight = np.zeros(sets * steps)
-    if fits.used[k]:
-        design = sinusoid(steps)
-        rows = present[k]
-        fringes = (fits.z[k] * np.exp(1j * angle)).real
-        if fits.own_mean[k]:
-            row = design[n] @ np.linalg.pinv(design[rows])
-            mean_part = 0.0
-        else:
-            row = design[n, 1:] @ np.linalg.pinv(design[rows, 1:])
-            mean_part = (1 - row.sum()) ** 2 / (steps * fits.own_mean.sum())
-        weight[k * steps + np.flatnonzero(rows)] = row
-        variance = float((row**2).sum() + mean_part)
-        return _Expected(fits.mean[k] + fringes, fringes, variance, weight)
-    phase = common_coordinate(fits, counts).phase_rad[k]
-    modulation = np.abs(fits.z[fits.used]).mean(axis=0)
-    fringes = modulation * np.cos(phase + angle)
-    return _Expected(fits.mean[fits.used].mean(axis=0) + fringes, fringes, 1.0, weight)
+    design = sinusoid(steps)
+    rows = present[k]
+    fringes = (fits.z[k] * np.exp(1j * angle)).real
+    if fits.own_mean[k]:
+        row = design[n] @ np.linalg.pinv(design[rows])
+        mean_part = 0.0
+    else:
+        row = design[n, 1:] @ np.linalg.pinv(design[rows, 1:])
+        mean_part = (1 - row.sum()) ** 2 / (steps * fits.own_mean.sum())
+    weight[k * steps + np.flatnonzero(rows)] = row
+    variance = float((row**2).sum() + mean_part)
+    frame = fits.mean[k] + fringes
+    if steps > 3:
+        second = without_harmonics(fits, present)[1]
+        frame = frame + (second * harmonic(fits.z[k], steps, np.array([n]), 2)[0]).real
+    return _Expected(frame, fringes, variance, weight)
 
 
 def describe(
-    recorded: Floats, values: Floats, present: NDArray[np.bool_], counts: Floats, place: int, noise_dn2: float
+    recorded: Floats, values: Floats, present: NDArray[np.bool_], place: int, noise_dn2: float
 ) -> Description:
     """Say what the frame at `place` shows.
 
@@ -78,14 +77,12 @@ def describe(
         (frames, pixels) as recorded.
     values, present
         (sets, steps, pixels), (sets, steps): frames in their places, and which are trusted.
-    counts
-        Fringe counts.
     place
         Index of the frame, counted over sets and steps.
     noise_dn2
         Variance of one value.
     """
-    expected = _expected(values, present, counts, place)
+    expected = _expected(values, present, place)
     frame = recorded[place]
     difference = frame - expected.frame
     rms = float(np.sqrt((difference**2).mean()))

@@ -79,10 +79,13 @@ class Misfit:
         (pixels,), not divided by the degrees of freedom.
     freedom
         Degrees of freedom a pixel.
+    complete
+        Whether the phase of every set is known.
     """
 
     squares: Floats
     freedom: int
+    complete: bool
 
     def clipped(self) -> Floats:
         """Squares a degree of freedom, the worst tenth of the pixels held at the 90 % quantile."""
@@ -105,7 +108,9 @@ def sinusoid(steps: int) -> Floats:
 def _solver(steps: int, rows: tuple[int, ...], unknowns: int) -> tuple[Floats, Floats, Floats]:
     """Compute design, pseudo-inverse and variances for some frames; with two unknowns the mean is known."""
     matrix = sinusoid(steps)[list(rows)][:, 3 - unknowns :]
-    return matrix, np.linalg.pinv(matrix), np.diag(np.linalg.pinv(matrix.T @ matrix))
+    inverse: Floats = np.asarray(np.linalg.pinv(matrix), np.float64)
+    variances: Floats = np.asarray(np.diag(np.linalg.pinv(matrix.T @ matrix)), np.float64)
+    return matrix, inverse, variances
 
 
 def fit_sets(values: Floats, present: Bools) -> SetFits:
@@ -139,34 +144,68 @@ def fit_sets(values: Floats, present: Bools) -> SetFits:
     return SetFits(mean, z, residual, used, own_mean, mean_variance, z_variance, number - 3)
 
 
-def _regress_out(target: Floats, columns: list[Floats]) -> Floats:
-    """Target minus its least-squares combination of columns, all of one shape."""
+def _regress_out(target: Floats, columns: list[Floats]) -> tuple[Floats, Floats]:
+    """Target minus its least-squares combination of columns, all of one shape; and the coefficients."""
     matrix = np.stack([c.ravel() for c in columns])
     gram = matrix @ matrix.T
     # A ridge of rounding size keeps columns that happen to be alike solvable.
     gram[np.diag_indices(len(columns))] += 1e-9 * np.trace(gram) + 1e-30
-    solution = np.linalg.solve(gram, matrix @ target.ravel())
-    rest: Floats = target.ravel() - solution @ matrix
-    return rest.reshape(target.shape)
+    solution: Floats = np.asarray(np.linalg.solve(gram, matrix @ target.ravel()), np.float64)
+    rest: Floats = np.asarray(target.ravel() - solution @ matrix).reshape(target.shape)
+    return rest, solution
 
 
-def without_harmonics(fits: SetFits, present: Bools) -> Floats:
-    """Residuals within the sets after the fringes' second (six steps or more: third) harmonic is removed."""
+def harmonic(z: Complexes, steps: int, rows: NDArray[np.int64], order: int) -> Complexes:
+    """(frames, pixels): B exp(i order phase) of some frames of a set."""
+    modulation = np.abs(z)
+    rotor = np.exp(2j * np.pi * rows / steps)[:, None]
+    wave: Complexes = modulation * (z / np.where(modulation > 0, modulation, 1.0) * rotor) ** order
+    return wave
+
+
+def without_harmonics(fits: SetFits, present: Bools) -> tuple[Floats, complex]:
+    """Remove the fringes' second (from six steps on also third) harmonic from the residuals within the sets.
+
+    Returns
+    -------
+    rest
+        (sets, steps, pixels).
+    second
+        Mean second harmonic of the complete sets as a share of the modulation, zero if there is none.
+    """
     rest = fits.residual.copy()
     steps = present.shape[1]
+    seconds = []
     for k in np.flatnonzero(fits.spare >= 1):
         rows = np.flatnonzero(present[k])
         matrix, inverse, _ = _solver(steps, tuple(rows.tolist()), 3)
         maker = np.eye(rows.size) - matrix @ inverse
-        modulation = np.abs(fits.z[k])
-        rotor = np.exp(2j * np.pi * rows / steps)[:, None]
-        wave = fits.z[k] / np.where(modulation > 0, modulation, 1.0) * rotor
         columns = []
         for order in (2, 3) if steps >= 6 else (2,):
-            harmonic = modulation * wave**order
-            columns += [maker @ harmonic.real, maker @ harmonic.imag]
-        rest[k, rows] = _regress_out(fits.residual[k, rows], columns)
-    return rest
+            wave = maker @ harmonic(fits.z[k], steps, rows, order)
+            columns += [wave.real, wave.imag]
+        rest[k, rows], shares = _regress_out(fits.residual[k, rows], columns)
+        if rows.size == steps:
+            seconds.append(complex(shares[0], -shares[1]))
+    return rest, complex(np.mean(seconds)) if seconds else 0j
+
+
+def refit_incomplete(values: Floats, present: Bools, fits: SetFits) -> SetFits:
+    """Fit again after the second harmonic seen in complete sets is taken out of incomplete ones.
+
+    In a complete set of four steps or more it does not disturb the sinusoid; in one that lacks a frame it does.
+    """
+    steps = present.shape[1]
+    full = present.all(axis=1)
+    if steps < 4 or full.all() or not full.any():
+        return fits
+    second = without_harmonics(fits, present)[1]
+    for _ in range(2):
+        cleaned = values.copy()
+        for k in np.flatnonzero(~full & fits.used):
+            cleaned[k] -= (second * harmonic(fits.z[k], steps, np.arange(steps), 2)).real
+        fits = fit_sets(cleaned, present)
+    return fits
 
 
 def common_coordinate(fits: SetFits, counts: Floats) -> Coordinate:
@@ -218,7 +257,7 @@ def _tangential_rest(fits: SetFits, coordinate: Coordinate, steps: int) -> Float
     for k in np.flatnonzero(fits.used):
         columns = _aliased(fits, int(k), steps)
         if columns:
-            rest[k] = _regress_out(rest[k], columns)
+            rest[k], _ = _regress_out(rest[k], columns)
     return rest
 
 
@@ -226,9 +265,9 @@ def _mean_rest(fits: SetFits, steps: int) -> Floats:
     """Disagreement of the sets' means for unit noise; harmonics and a drift of the light are allowed."""
     weight = np.where(fits.own_mean, 1 / fits.mean_variance, 0.0)[:, None]
     common = (weight * fits.mean).sum(axis=0) / weight.sum()
-    rest = np.sqrt(weight) * (fits.mean - common)
+    rest: Floats = np.sqrt(weight) * (fits.mean - common)
     for k in np.flatnonzero(fits.own_mean):
-        rest[k] = _regress_out(rest[k], [common, *_aliased(fits, int(k), steps)])
+        rest[k], _ = _regress_out(rest[k], [common, *_aliased(fits, int(k), steps)])
     return rest
 
 
@@ -246,15 +285,15 @@ def misfit(values: Floats, present: Bools, counts: Floats, *, between: bool) -> 
     between
         Whether the sets' counts tie their phases.
     """
-    fits = fit_sets(values, present)
+    fits = refit_incomplete(values, present, fit_sets(values, present))
     freedom = int(np.maximum(fits.spare, 0).sum())
-    squares = (without_harmonics(fits, present) ** 2).sum(axis=(0, 1))
+    squares = (without_harmonics(fits, present)[0] ** 2).sum(axis=(0, 1))
     if between and fits.used.sum() >= 2:
         coordinate = common_coordinate(fits, counts)
         squares += (_tangential_rest(fits, coordinate, values.shape[1]) ** 2).sum(axis=0)
         squares += (_mean_rest(fits, values.shape[1]) ** 2).sum(axis=0)
         freedom += int(fits.used.sum()) + int(fits.own_mean.sum()) - 2
-    return Misfit(squares, freedom) if freedom > 0 else None
+    return Misfit(squares, freedom, bool(fits.used.all())) if freedom > 0 else None
 
 
 def phases_agree(values: Floats, present: Bools, counts: Floats) -> bool:
@@ -263,7 +302,7 @@ def phases_agree(values: Floats, present: Bools, counts: Floats) -> bool:
     False when the counts do not determine each other (two sets alone often do not), when the noise hides
     the orders, or when the frames are wrong.
     """
-    fits = fit_sets(values, present)
+    fits = refit_incomplete(values, present, fit_sets(values, present))
     if fits.used.sum() < 2:
         return False
     scale = np.sqrt(np.median(np.abs(fits.z[fits.used]) ** 2))

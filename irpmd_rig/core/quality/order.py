@@ -26,11 +26,14 @@ SURE = 0.99
 SCREEN_PIXELS = 500
 DECIDE_PIXELS = 4000
 FINALISTS = 6
+SUSPECTS = 10
 
 MUCH_BETTER = 0.7
+MUCH_BETTER_AGAIN = 0.5
 CLEARLY_BEST = 0.85
 OVERWHELMING = 0.2
-"""An order is accepted if its misfit (squares) is below MUCH_BETTER of the misfit as recorded and below
+"""An order is accepted if its misfit (squares) is below MUCH_BETTER (a second fault: MUCH_BETTER_AGAIN) of the
+misfit as recorded and below
 CLEARLY_BEST of the runner-up's, or below OVERWHELMING of the misfit as recorded (then a rival may exist, and
 the confidence says so)."""
 
@@ -70,29 +73,31 @@ def likely_faults(source: Integers, steps: int) -> list[Hypothesis]:
     """One fault more than `source` already has: a wrong, lost or repeated frame, a swap within a set."""
     size = source.size
     kept = np.flatnonzero(source >= 0)
-    found = [Hypothesis("wrong", _without(source, (m,)), (m,)) for m in kept.tolist()]
+    number = (source.reshape(-1, steps) >= 0).sum(axis=1)
+    # In a set that already lacks a frame one frame more can explain anything.
+    free = [m for m in kept.tolist() if number[m // steps] == steps]
+    found = [Hypothesis("wrong", _without(source, (m,)), (m,)) for m in free]
     for m in range(size - 1):
         late = np.concatenate([source[:m], [-1], source[m:-1]])
         found.append(Hypothesis("dropped", late, (m,)))
         early = np.concatenate([source[:m], source[m + 1 :], [-1]])
         found.append(Hypothesis("repeated", early, (m,)))
-    return found + [s for s in swaps(source) if s.frames[0] // steps == s.frames[1] // steps]
+    return found + swaps(source, [p for p in combinations(kept.tolist(), 2) if p[0] // steps == p[1] // steps])
 
 
-def swaps(source: Integers) -> list[Hypothesis]:
-    """Every swap of two frames."""
+def swaps(source: Integers, pairs: list[tuple[int, int]]) -> list[Hypothesis]:
+    """Swaps of two frames."""
     found = []
-    for pair in combinations(np.flatnonzero(source >= 0).tolist(), 2):
+    for pair in pairs:
         swapped = source.copy()
         swapped[list(pair)] = source[list(pair[::-1])]
         found.append(Hypothesis("swapped", swapped, pair))
     return found
 
 
-def two_wrong(source: Integers) -> list[Hypothesis]:
-    """Every hypothesis of two wrong frames."""
-    kept = np.flatnonzero(source >= 0).tolist()
-    return [Hypothesis("wrong", _without(source, pair), pair) for pair in combinations(kept, 2)]
+def two_wrong(source: Integers, pairs: list[tuple[int, int]]) -> list[Hypothesis]:
+    """Two wrong frames."""
+    return [Hypothesis("wrong", _without(source, pair), pair) for pair in pairs]
 
 
 def _without(source: Integers, places: tuple[int, ...]) -> Integers:
@@ -127,7 +132,7 @@ class Court:
     def score(self, hypothesis: Hypothesis, pixels: int) -> float:
         """Trimmed misfit variance, never below what rounding costs; infinite if it cannot be judged."""
         result, _ = self.judge(hypothesis, pixels)
-        if result is None or (self.steps == 3 and result.freedom < FEWEST_FREEDOM):
+        if result is None or not result.complete or (self.steps == 3 and result.freedom < FEWEST_FREEDOM):
             return np.inf
         return float(result.clipped().mean()) + self._floor
 
@@ -164,7 +169,7 @@ def sure(gain: Floats, tile: Integers) -> float:
 
 def find_orders(
     court: Court, size: int, modulation_dn: float, noise_dn: float
-) -> tuple[Integers, list[Verdict]]:
+) -> tuple[Integers, list[Verdict], float]:
     """Faults of order, one after the other, each accepted only if it explains most of the misfit.
 
     Parameters
@@ -184,49 +189,71 @@ def find_orders(
         (size,): recorded frame that belongs at each place, -1 for none.
     verdicts
         The accepted hypotheses.
+    score
+        Misfit variance (DN^2) that remains; zero if there was nothing to look for.
     """
     harmless = (SUSPICIOUS * modulation_dn) ** 2
     if noise_dn < NOISE_KNOWN * modulation_dn:
         harmless = max(harmless, SUSPICIOUS_NOISE * noise_dn**2)
     present = Hypothesis("as recorded", np.arange(size), ())
     verdicts: list[Verdict] = []
-    for _ in range(ROUNDS):
-        base = court.score(present, DECIDE_PIXELS)
-        if not np.isfinite(base) or base < harmless:
-            break
-        verdict = _next(court, present, base)
+    base = court.score(present, DECIDE_PIXELS)
+    while np.isfinite(base) and len(verdicts) < ROUNDS:
+        if base < harmless:
+            return present.source, verdicts, 0.0
+        verdict = _next(court, present, base, MUCH_BETTER_AGAIN if verdicts else MUCH_BETTER)
         if verdict is None:
             break
         verdicts.append(verdict)
         present = verdict.hypothesis
-    return present.source, verdicts
+        base = court.score(present, DECIDE_PIXELS)
+    return present.source, verdicts, base
 
 
-def _next(court: Court, present: Hypothesis, base: float) -> Verdict | None:
+def _next(court: Court, present: Hypothesis, base: float, wanted: float) -> Verdict | None:
     """One more fault: the many unlikely ones are tried only if no likely one explains nearly everything."""
-    likely = _finalists(court, likely_faults(present.source, court.steps))
+    rivals = likely_faults(present.source, court.steps)
+    screened = [court.score(h, SCREEN_PIXELS) for h in rivals]
+    likely = _finalists(court, rivals, screened)
+    pairs = _suspect_pairs(rivals, screened, court.steps)
     if min(score for _, score in likely) > OVERWHELMING * base:
-        likely += _finalists(court, swaps(present.source))
-    verdict = _decide(court, present, likely, base)
-    if verdict is None:
-        verdict = _decide(court, present, _finalists(court, two_wrong(present.source)), base)
+        far = swaps(present.source, [p for p in pairs if p[0] // court.steps != p[1] // court.steps])
+        likely += _finalists(court, far, [court.score(h, SCREEN_PIXELS) for h in far])
+    verdict = _decide(court, present, likely, base, wanted)
+    if verdict is None and pairs:
+        both = two_wrong(present.source, pairs)
+        finalists = _finalists(court, both, [court.score(h, SCREEN_PIXELS) for h in both])
+        verdict = _decide(court, present, finalists, base, wanted)
     return verdict
 
 
-def _finalists(court: Court, rivals: list[Hypothesis]) -> list[tuple[Hypothesis, float]]:
-    """Pick the best of many, screened on few pixels, with their scores on more."""
-    screened = sorted(rivals, key=lambda h: court.score(h, SCREEN_PIXELS))[:FINALISTS]
-    return [(h, court.score(h, DECIDE_PIXELS)) for h in screened]
+def _suspect_pairs(rivals: list[Hypothesis], scores: list[float], steps: int) -> list[tuple[int, int]]:
+    """Pairs of frames of which each alone, left out, helps; three steps give no hint, all pairs are taken."""
+    singles = [(s, h.frames[0]) for s, h in zip(scores, rivals, strict=True) if h.kind == "wrong"]
+    number = SUSPECTS if steps > 3 else len(singles)
+    return list(combinations(sorted(m for _, m in sorted(singles)[:number]), 2))
+
+
+def _finalists(
+    court: Court, rivals: list[Hypothesis], screened: list[float]
+) -> list[tuple[Hypothesis, float]]:
+    """Pick the best of many by their scores on few pixels, with their scores on more."""
+    best = np.argsort(screened, kind="stable")[:FINALISTS]
+    return [(rivals[i], court.score(rivals[i], DECIDE_PIXELS)) for i in best]
 
 
 def _decide(
-    court: Court, present: Hypothesis, finalists: list[tuple[Hypothesis, float]], base: float
+    court: Court,
+    present: Hypothesis,
+    finalists: list[tuple[Hypothesis, float]],
+    base: float,
+    wanted: float,
 ) -> Verdict | None:
     """Accept the best if it is good enough; among equals the one that keeps most of the frames."""
     lowest = min(score for _, score in finalists)
     equals = [h for h, score in finalists if CLEARLY_BEST * score <= lowest]
     best = max(equals, key=lambda h: ((h.source >= 0).sum(), (h.source == np.arange(h.source.size)).sum()))
-    if not lowest < MUCH_BETTER * base:
+    if not lowest < wanted * base:
         return None
     if court.confidence(best, present) < SURE:
         return None

@@ -173,9 +173,9 @@ def _tiled(
     lit_values = values[..., lit]
     sets, steps, size = lit_values.shape
     saturated = np.zeros((sets, steps, size), bool) if full_scale is None else lit_values >= full_scale
-    usable = ~saturated.any(axis=(0, 1))
+    usable: NDArray[np.bool_] = np.logical_not(saturated.any(axis=(0, 1)))
     if np.count_nonzero(usable) < 0.1 * size:
-        usable[:] = True
+        usable = np.ones(size, bool)
     chosen = np.flatnonzero(usable)
     if chosen.size > PIXELS:
         # Not every n-th pixel: a regular choice could beat with the fringes.

@@ -97,9 +97,10 @@ class _Pattern:
 
     def values(self, expected: Floats) -> Floats:
         """(pixels,) change of the frame, from (frames, pixels) as they should be."""
-        frame = expected[self.frame]
+        frame: Floats = expected[self.frame]
         if self.kind == "blended":
-            return expected[self.frame - 1] - frame
+            previous: Floats = expected[self.frame - 1]
+            return previous - frame
         return np.full(frame.size, frame.mean()) if self.same else frame
 
 

@@ -186,6 +186,12 @@ static void *receive_frames(void *argument) {
 
 /* ---- starting and stopping ---- */
 
+static void set_grabbing(Stream *stream, bool grabbing) {
+    pthread_mutex_lock(&stream->lock);
+    stream->grabbing = grabbing;
+    pthread_mutex_unlock(&stream->lock);
+}
+
 static GC_ERROR start(Stream *stream, uint64_t count) {
     FrameRecord frame;
     int memory;
@@ -211,15 +217,18 @@ static GC_ERROR start(Stream *stream, uint64_t count) {
         return fail(GC_ERR_OUT_OF_MEMORY, "no memory for the frames");
     stream->ring = ring;
     stream->ring_size = frame.offset;
+    pthread_mutex_lock(&stream->lock);
     stream->stopping = false;
     stream->kills = 0;
     stream->delivered = stream->underruns = stream->lost_frames = stream->started = stream->next_frame_id = 0;
     stream->to_acquire = count;
+    stream->grabbing = true;
+    pthread_mutex_unlock(&stream->lock);
     if (pthread_create(&stream->thread, NULL, receive_frames, stream) != 0) {
         munmap(ring, frame.offset);
+        set_grabbing(stream, false);
         return fail(GC_ERR_OUT_OF_MEMORY, "no thread for the stream");
     }
-    stream->grabbing = true;
     return GC_ERR_SUCCESS;
 }
 
@@ -250,7 +259,7 @@ static GC_ERROR stop(Stream *stream) {
         ;
     end_on_wire(stream);
     munmap((void *)(uintptr_t)stream->ring, stream->ring_size);
-    stream->grabbing = false;
+    set_grabbing(stream, false);
     pthread_mutex_unlock(&stream->control);
     return GC_ERR_SUCCESS;
 }

@@ -53,7 +53,7 @@ def test_a_file_that_is_not_there_is_said() -> None:
         (
             "motion: absolute",
             "motoin: absolute",
-            "mine.yaml:8:1: unknown key 'motoin'",
+            "mine.yaml:7:1: unknown key 'motoin'",
             "did you mean 'motion'?",
         ),
         ("{baud: 9600,", "{buad: 9600,", "unknown key 'line.buad'", "did you mean 'baud'?"),
@@ -62,7 +62,7 @@ def test_a_file_that_is_not_there_is_said() -> None:
         ('accepted: "OK"', 'accepted: "(OK"', "no regular expression", "correct"),
         ("(?P<busy>[BR])", "[BR]", "lacks the group 'busy'", "correct"),
         ("D:{axis}S500F{speed}R200", "D:{axis}S500F{sped}R200", "unknown field 'sped'", "correct"),
-        ('refused: "NG"\n', "", "'replies.refused' is missing", "set replies.refused"),
+        ('  refused: "NG"\n', "", "'replies.refused' is missing", "set replies.refused"),
         ("baud: 9600", "baud: yes", "line.baud", "correct"),
         ("title: OptoSigma", "title: &a OptoSigma", "anchors", "plain keys"),
         ("terminator:", "title: again\nterminator:", "duplicate key", "plain keys"),

@@ -308,3 +308,30 @@ def test_close_stops_the_motion_and_open_works_again(stage: SerialStage, gsc: Gs
     assert stage.stop() == StopAnswer(stopped=True)
     stage.open()
     assert stage.state().condition == StageCondition.NO_ZERO
+
+
+def test_counts_that_change_by_themselves_cost_the_zero(stage: SerialStage, gsc: Gsc) -> None:
+    stage.home()
+    stage.move_to(5.0)
+    stage.wait()
+    gsc.start = gsc.target = 0  # the controller was switched off and on
+    with pytest.raises(Refused, match="changed from 5000 to 0"):
+        stage.move_to(6.0)
+    with pytest.raises(Refused, match="no zero"):
+        stage.move_to(6.0)
+
+
+def test_stop_is_told_again_after_one_bad_answer(stage: SerialStage, peer: Peer, gsc: Gsc) -> None:
+    stage.home()
+    gsc.counts_per_s = 1_000
+    stage.move_to(40.0)
+    bad = [b"#?\r\n"]
+    peer.answer = lambda frame: bad.pop() if frame == b"L:E\r\n" and bad else gsc(frame)
+    assert stage.stop() == StopAnswer(stopped=True)
+    assert peer.heard.count(b"L:E\r\n") == 2
+
+
+def test_the_frames_of_a_move_can_be_seen_before_anything_is_sent(peer: Peer, stage_on: Build) -> None:
+    stage = stage_on(peer, "gsc", opened=False)
+    assert stage.preview(-1.5) == (b"A:1-P1500\r\n", b"G:\r\n")
+    assert peer.heard == []

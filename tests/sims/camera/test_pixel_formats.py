@@ -49,6 +49,10 @@ def test_values_carry_their_size() -> None:
     assert all(pixel_format.value >> 16 & 0xFF == pixel_format.bits_per_pixel for pixel_format in FORMATS)
 
 
+for _pixel_format in FORMATS:
+    _pixel_format.prepare()
+
+
 @given(pixel_format=st.sampled_from(FORMATS[2:]), seed=st.integers(0, 1000), left=st.sampled_from((0, 4)))
 def test_packed_pixels_can_be_had_back(pixel_format: PixelFormat, seed: int, left: int) -> None:
     whole = np.random.default_rng(seed).integers(0, 1024, (3, 16), np.uint16)

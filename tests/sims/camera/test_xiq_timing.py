@@ -1,5 +1,7 @@
 """The xiQ's times: what its manual says, and what must hold for any sequence of exposures."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,9 +20,7 @@ def test_full_frames_take_the_manuals_time() -> None:
 def test_short_exposures_free_run_at_the_readouts_pace() -> None:
     schedule = Schedule(XIQ)
     starts = [schedule.free_running(0.0, 1e-3, LINES, 0.0).start_s for _ in range(5)]
-    assert [later - earlier for earlier, later in zip(starts, starts[1:], strict=False)] == pytest.approx(
-        [11_072.5e-6] * 4
-    )
+    assert [later - earlier for earlier, later in pairwise(starts)] == pytest.approx([11_072.5e-6] * 4)
 
 
 def test_long_exposures_free_run_at_their_own_pace() -> None:
@@ -64,11 +64,7 @@ def test_a_trigger_that_comes_too_early_is_missed(delay_s: float, seen: bool) ->
     assert (schedule.trigger(delay_s, 4e-3, LINES) is not None) is seen
 
 
-@given(
-    st.lists(
-        st.tuples(st.floats(0, 0.05), st.floats(1e-5, 0.05), st.integers(16, 2048)), min_size=2, max_size=20
-    )
-)
+@given(st.lists(st.tuples(st.floats(0, 0.05), st.floats(1e-5, 0.05), st.integers(16, 2048)), min_size=2, max_size=20))
 def test_no_two_exposures_and_no_two_readouts_overlap(steps: list[tuple[float, float, int]]) -> None:
     schedule = Schedule(XIQ)
     time_s, taken = 0.0, []
@@ -78,6 +74,6 @@ def test_no_two_exposures_and_no_two_readouts_overlap(steps: list[tuple[float, f
         if exposure is not None:
             taken.append((exposure, XIQ.readout_s(lines)))
     assert taken
-    for (earlier, _), (later, readout_s) in zip(taken, taken[1:], strict=False):
+    for (earlier, _), (later, readout_s) in pairwise(taken):
         assert later.start_s >= earlier.start_s + earlier.exposure_s - 2e-9
         assert later.delivered_s - readout_s >= earlier.delivered_s - 2e-9
