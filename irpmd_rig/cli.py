@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.table import Table
 
+from irpmd_rig.bench.timing import Row
 from irpmd_rig.core.errors import MeasurementError
 from irpmd_rig.shipped import shipped_worlds
 
@@ -27,12 +29,8 @@ _notes = Console(stderr=True)
 
 @app.command()
 def demo(
-    world: Annotated[
-        str, typer.Option(help="World file, or the name of a shipped world.")
-    ] = "misaligned",
-    object_name: Annotated[
-        str, typer.Option("--object", help="Object of the world to measure.")
-    ] = "mirror_step_y",
+    world: Annotated[str, typer.Option(help="World file, or the name of a shipped world.")] = "misaligned",
+    object_name: Annotated[str, typer.Option("--object", help="Object of the world to measure.")] = "mirror_step_y",
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it does not exist.")] = Path("demo"),
     seed: Annotated[int | None, typer.Option(help="Seed of noise and poses; the world's own by default.")] = None,
     size_px: Annotated[
@@ -65,19 +63,29 @@ def bench(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Measure speed, each figure beside a baseline taken in the same run."""
-    if name is BenchName.decode:
-        from irpmd_rig.bench.decode import run as run_bench
-    else:
-        from irpmd_rig.bench.render import run as run_bench
-    rows = run_bench()
+    rows = [asdict(row) for row in _BENCHES[name]()]
     if as_json:
-        sys.stdout.write(json.dumps({"rows": [row.as_json() for row in rows]}) + "\n")
+        sys.stdout.write(json.dumps({"rows": rows}) + "\n")
         return
-    columns = list(rows[0].as_json())
-    table = Table(*columns, title=f"bench {name}")
+    table = Table(*rows[0], title=f"bench {name}")
     for row in rows:
-        table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.as_json().values()))
+        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
     Console().print(table)
+
+
+def _bench_decode() -> list[Row]:
+    from irpmd_rig.bench import decode
+
+    return decode.run()
+
+
+def _bench_render() -> list[Row]:
+    from irpmd_rig.bench import render
+
+    return render.run()
+
+
+_BENCHES = {BenchName.decode: _bench_decode, BenchName.render: _bench_render}
 
 
 @app.command()

@@ -12,7 +12,7 @@ from sims.errors import SimulationError, WorldError
 from sims.frames import Matrix, Vector, turn
 
 if TYPE_CHECKING:
-    from sims.instruments import Board
+    from sims.instruments import Board, Camera
     from sims.world import World
 
 # Places in the image, in thirds, that the free poses visit in turn: corners fix the distortion, so they come
@@ -23,6 +23,8 @@ _PLACES = (*_CORNERS, (0, 0), *_EDGES, *_CORNERS, (0, 0))
 # A pinhole sees a body's front: its z axis points back at the camera, so that x right leaves y up.
 _FACING = np.diag([1.0, -1.0, -1.0])
 _TRIES = 200
+_ROUNDS = 100
+_CLOSE_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +74,9 @@ def board_pose(world: "World", pose: int) -> FlatPose:
         lean = about.T @ turn(math.degrees(tilt), 0.0) @ about
         axes = _turned(in_plane) @ _FACING @ lean.T
         centre = np.array([0.0, 0.0, generator.uniform(*board.distance_mm)])
-        jitter = generator.uniform(-0.15, 0.15, 2)
-        for _ in range(30):
-            pixels = project(camera, centre + outline @ axes)
-            shift = _shift(pixels, camera.size_px, board.margin_px, _PLACES[pose % len(_PLACES)], jitter)
-            centre[:2] += shift * centre[2] / np.array(camera.fc_px)
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        # The image reaches from -0.5 to size - 0.5; a tenth of a pixel is left for what the steps leave over.
-        edge = board.margin_px - 0.6
-        if np.all(low >= edge) and np.all(high <= np.array(camera.size_px) - 1 - edge):
+        place = np.array(_PLACES[pose % len(_PLACES)], dtype=np.float64)
+        place[place == 0] += generator.uniform(-0.3, 0.3, 2)[place == 0]
+        if _settle(camera, outline @ axes, centre, board.margin_px, place):
             return FlatPose(centre, axes)
     raise WorldError(f"board: in {_TRIES} tries no pose {pose} fits into the image with its margin")
 
@@ -107,18 +103,28 @@ def _outline(board: "Board") -> NDArray[np.float64]:
     return np.column_stack([xy, np.zeros(len(xy))])
 
 
-def _shift(
-    pixels: NDArray[np.float64],
-    size: tuple[int, int],
-    margin: float,
-    place: tuple[int, int],
-    jitter: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Pixels by which the board must move so that it touches the margin at `place`."""
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
-    shift = np.zeros(2)
-    for axis in range(2):
-        room = size[axis] - 2 * margin - (high[axis] - low[axis])
-        target = margin - 0.5 + room * (0.5 + 0.5 * place[axis] + (jitter[axis] if place[axis] == 0 else 0.0))
-        shift[axis] = target - low[axis]
-    return shift
+def _settle(
+    camera: "Camera", outline: NDArray[np.float64], centre: Vector, margin: float, place: NDArray[np.float64]
+) -> bool:
+    """Move a board sideways until it lies in the image at `place` (-1: touching the low margin, 1: the high one).
+
+    Returns
+    -------
+    Whether it fits; `centre` is changed in place.
+    """
+    size = np.array(camera.size_px)
+    for _ in range(_ROUNDS):
+        points = centre + outline
+        if points[:, 2].min() <= 0:
+            return False
+        pixels = project(camera, points)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        room = size - 2 * margin - (high - low)
+        if room.min() < 0:
+            return False
+        # The image begins half a pixel before the centre of its first pixel.
+        shift = margin - 0.5 + room * (0.5 + 0.5 * place) - low
+        if np.abs(shift).max() < _CLOSE_PX:
+            return True
+        centre[:2] += shift * centre[2] / np.array(camera.fc_px)
+    return False

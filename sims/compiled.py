@@ -31,19 +31,28 @@ def _package_stamp() -> str:
     return digest.hexdigest()
 
 
-class _UserProvided(UserProvidedCacheLocator):  # type: ignore[misc]
+class _OneState:
+    """Names cache files after the state of the code, so that processes with different states share none."""
+
+    _lineno: int
+
     def get_source_stamp(self) -> str:
         return _package_stamp()
 
-
-class _InTree(InTreeCacheLocator):  # type: ignore[misc]
-    def get_source_stamp(self) -> str:
-        return _package_stamp()
+    def get_disambiguator(self) -> str:
+        return f"{self._lineno}-{_package_stamp()[:16]}"
 
 
-class _UserWide(UserWideCacheLocator):  # type: ignore[misc]
-    def get_source_stamp(self) -> str:
-        return _package_stamp()
+class _UserProvided(_OneState, UserProvidedCacheLocator):  # type: ignore[misc]
+    pass
+
+
+class _InTree(_OneState, InTreeCacheLocator):  # type: ignore[misc]
+    pass
+
+
+class _UserWide(_OneState, UserWideCacheLocator):  # type: ignore[misc]
+    pass
 
 
 class _Impl(CompileResultCacheImpl):  # type: ignore[misc]

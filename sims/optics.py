@@ -191,7 +191,10 @@ def _map_rows(
     out: LightMap,
 ) -> None:
     # Two samples a projector pixel, the first a quarter of a pixel inside its edge: x -> 2 x + 0.5.
-    right, bottom = 2.0 * scene[0].lens[WIDTH] - 1.0, 2.0 * scene[0].lens[HEIGHT] - 1.0
+    # A place on the last sample counts to the one before it: rendering reads two samples in each direction.
+    last_part = SUBPIXELS - 1
+    right = (int(2.0 * scene[0].lens[WIDTH]) - 2) * SUBPIXELS + last_part
+    bottom = (int(2.0 * scene[0].lens[HEIGHT]) - 2) * SUBPIXELS + last_part
     scratch = np.empty(SCRATCH)
     for v in range(first, last):
         for u in range(rays.shape[1]):
@@ -199,7 +202,6 @@ def _map_rows(
             out.lamp[v, u] = hit.lamp
             if hit.factor > 0.0:
                 out.factor[v, u] = hit.factor
-                column = min(max(2.0 * hit.column + 0.5, 0.0), right)
-                row = min(max(2.0 * hit.row + 0.5, 0.0), bottom)
-                out.column[v, u] = int(column * SUBPIXELS + 0.5)
-                out.row[v, u] = int(row * SUBPIXELS + 0.5)
+                column, row = 2.0 * hit.column + 0.5, 2.0 * hit.row + 0.5
+                out.column[v, u] = min(max(int(np.floor(column * SUBPIXELS + 0.5)), 0), right)
+                out.row[v, u] = min(max(int(np.floor(row * SUBPIXELS + 0.5)), 0), bottom)

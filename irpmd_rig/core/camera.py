@@ -67,9 +67,7 @@ def rays(intrinsics: Intrinsics) -> NDArray[np.float64]:
     width, height = intrinsics.size_px
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-    normalised = cv2.undistortPoints(
-        pixels, intrinsics.matrix, np.array(intrinsics.distortion), criteria=_UNDISTORTION
-    )
+    normalised = cv2.undistortPoints(pixels, intrinsics.matrix, np.array(intrinsics.distortion), criteria=_UNDISTORTION)
     directions = np.ones((height, width, 3))
     directions[..., :2] = normalised.reshape(height, width, 2)
     return directions

@@ -30,9 +30,7 @@ class ReferenceFrame:
         """Rays (..., 3) of the camera turned into M."""
         return np.asarray(rays @ self.axes.T)
 
-    def points_mm(
-        self, height_mm: NDArray[np.floating], rays: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def points_mm(self, height_mm: NDArray[np.floating], rays: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of M from heights above the reference plane.
 
         Parameters
@@ -92,9 +90,7 @@ def reference_frame(
     level = along - (along @ z) * z
     length = float(np.linalg.norm(level))
     if length < 1e-3:
-        raise CalibrationError(
-            "the camera looks along the mirror's normal: its heading cannot serve as the x axis"
-        )
+        raise CalibrationError("the camera looks along the mirror's normal: its heading cannot serve as the x axis")
     level /= length
     cosine, sine = np.array(heading) / np.hypot(*heading)
     across = np.cross(z, level)

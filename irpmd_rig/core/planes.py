@@ -88,15 +88,12 @@ def fit_plane(
     use = mask & np.isfinite(range_mm) & (range_mm != 0)
     rows, columns = np.nonzero(use)
     if rows.size < FEWEST_PIXELS:
-        raise CalibrationError(
-            f"a plane needs at least {FEWEST_PIXELS} measured pixels, and {rows.size} are left"
-        )
+        raise CalibrationError(f"a plane needs at least {FEWEST_PIXELS} measured pixels, and {rows.size} are left")
     design = directions[rows, columns].astype(np.float64)
-    inverse = 1.0 / range_mm[rows, columns].astype(np.float64)
+    inverse: NDArray[np.float64] = 1.0 / range_mm[rows, columns].astype(np.float64)
     keep = np.ones(rows.size, dtype=bool)
     for _ in range(_CLIP_ROUNDS):
-        q = _least_squares(design[keep], inverse[keep])
-        residual = inverse - design @ q
+        residual = inverse - design @ _least_squares(design[keep], inverse[keep])
         spread = 1.4826 * float(np.median(np.abs(residual[keep] - np.median(residual[keep]))))
         # A noise-free plane has no spread: what is left is rounding.
         keep = np.abs(residual) <= max(_CLIP_SIGMAS * spread, 1e-9 * float(np.abs(inverse).max()))
@@ -104,7 +101,7 @@ def fit_plane(
     residual = inverse[keep] - design[keep] @ q
     variance = float(residual @ residual) / max(residual.size - 3, 1)
     inflation = _correlation_inflation(rows[keep], columns[keep], residual)
-    covariance = variance * inflation * np.linalg.inv(design[keep].T @ design[keep])
+    covariance = np.asarray(variance * inflation * np.linalg.inv(design[keep].T @ design[keep]), dtype=np.float64)
     depth = 1.0 / inverse[keep]
     return Plane(q, covariance, float(np.sqrt(np.mean((residual * depth**2) ** 2))), int(residual.size))
 
@@ -118,9 +115,7 @@ def _least_squares(design: NDArray[np.float64], values: NDArray[np.float64]) -> 
     return np.asarray(np.linalg.solve(triangle, orthogonal.T @ values))
 
 
-def _correlation_inflation(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], residual: NDArray[np.float64]
-) -> float:
+def _correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], residual: NDArray[np.float64]) -> float:
     """Factor by which the variance of block means exceeds that of independent residuals (at least 1)."""
     block = (rows // _BLOCK_PX) * 100_003 + columns // _BLOCK_PX
     _, member, size = np.unique(block, return_inverse=True, return_counts=True)

@@ -89,7 +89,8 @@ class Photographer:
             If a frame is stale, blended, dropped, swapped or saturated.
         """
         patterns = fringe_images(self.counts, self.steps, self.rig.world.projector.size_px)
-        frames = np.stack([[self.frame(pattern) for pattern in fringe_set] for fringe_set in patterns])
+        sets = [np.stack([self.frame(pattern) for pattern in fringe_set]) for fringe_set in patterns]
+        frames: Frame = np.stack(sets)
         report = check_frames(frames, self.counts)
         if not report.ok:
             raise FramesError("; ".join(finding.message for finding in report.findings))

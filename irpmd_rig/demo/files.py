@@ -43,13 +43,11 @@ def write_calibration(calibration: Calibration, folder: Path) -> None:
         },
     }
     write_json(content, folder / "calibration.json")
-    np.savez(
-        folder / "references.npz",
-        **{
-            f"position_{k + 1}_rad": reference.phase_rad.astype(np.float32)
-            for k, reference in enumerate(calibration.references)
-        },
-    )
+    references = {
+        f"position_{k + 1}_rad": reference.phase_rad.astype(np.float32)
+        for k, reference in enumerate(calibration.references)
+    }
+    np.savez(folder / "references.npz", allow_pickle=False, **references)
 
 
 def write_measurement(measurement: Measurement, folder: Path) -> None:
@@ -62,9 +60,11 @@ def write_measurement(measurement: Measurement, folder: Path) -> None:
 
 def write_points(points_mm: NDArray[np.float64], path: Path) -> None:
     """Write the known points of (H, W, 3) as a binary PLY file."""
-    known = points_mm[np.isfinite(points_mm).all(axis=-1)].astype(np.float32)
-    vertices = np.rec.fromarrays(known.T, names="x,y,z")
-    PlyData([PlyElement.describe(np.asarray(vertices), "vertex")], text=False).write(str(path))
+    known = points_mm[np.isfinite(points_mm).all(axis=-1)]
+    vertices = np.empty(len(known), dtype=[(axis, np.float32) for axis in "xyz"])
+    for column, axis in enumerate("xyz"):
+        vertices[axis] = known[:, column]
+    PlyData([PlyElement.describe(vertices, "vertex")], text=False).write(str(path))
 
 
 def write_json(content: dict[str, Any], path: Path) -> None:

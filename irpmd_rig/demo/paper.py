@@ -22,9 +22,7 @@ class PaperTable:
         return 1e3 * (self.measured_mm[index] - self.actual_mm[index])
 
 
-TABLE_2 = PaperTable(
-    "Table 2, mirror step", (3.9868, 7.0248, 5.0062, 6.0986), (4.0081, 7.0213, 5.0141, 6.1180)
-)
+TABLE_2 = PaperTable("Table 2, mirror step", (3.9868, 7.0248, 5.0062, 6.0986), (4.0081, 7.0213, 5.0141, 6.1180))
 TABLE_3 = PaperTable(
     "Table 3, fan-shaped mirror step",
     (6.50038, 5.50026, 5.00026, 4.00015, 3.00016),

@@ -38,10 +38,7 @@ def write_pictures(measurement: Measurement, facets: NDArray[np.int32], folder: 
     )
     _panels(
         folder / "absolute_phase.png",
-        [
-            (f"stage position {k + 1}", phase.phase_rad)
-            for k, phase in enumerate(measurement.phases)
-        ],
+        [(f"stage position {k + 1}", phase.phase_rad) for k, phase in enumerate(measurement.phases)],
         "absolute phase (rad)",
         "viridis",
     )

@@ -92,9 +92,7 @@ def calibrate(photographer: Photographer, drawing: Drawing, announce: Announce) 
     camera = calibrate_camera(_board_images(photographer), threads=photographer.threads)
     directions = rays(camera.intrinsics)
     announce("white plate at 21 positions: absolute phase to depth")
-    relation = fit_plate_relation(
-        _plate_phases(photographer), PLATE_POSITIONS_MM, threads=photographer.threads
-    )
+    relation = fit_plate_relation(_plate_phases(photographer), PLATE_POSITIONS_MM, threads=photographer.threads)
     on_plate = next(board for board in camera.boards if board.view == BOARDS - 1)
     announce("sprayed mirror, glass and reference at both stage positions: planes, angles, distance")
     regions = _find_regions(photographer)
@@ -117,9 +115,7 @@ def calibrate(photographer: Photographer, drawing: Drawing, announce: Announce) 
     return Calibration(camera, relation, geometry, directions, references)
 
 
-def measure(
-    photographer: Photographer, calibration: Calibration, subject: str, announce: Announce
-) -> Measurement:
+def measure(photographer: Photographer, calibration: Calibration, subject: str, announce: Announce) -> Measurement:
     """Measure the object ``subject`` by the depth equation at the two stage positions."""
     rig = photographer.rig
     rig.place(subject)

@@ -23,7 +23,7 @@ class Truth:
     Attributes
     ----------
     steps_mm : list of float
-        Between neighbouring facets; empty for an object without plane facets.
+        Of the traced facets, taken where the measured steps are; of the world file where no step was measured.
     d_mm : float
         Along the reference's normal at the middle of the glass.
     focal_px : tuple of float
@@ -125,14 +125,10 @@ class Result:
         for name, axis in (("fx (px)", 0), ("fy (px)", 1)):
             estimate, sigma = camera.intrinsics.focal_px[axis], camera.sigma_focal_px[axis]
             table.add_row(name, f"{estimate:.3f}", f"{sigma:.3f}", f"{self.truth.focal_px[axis]:.3f}")
-        table.add_row(
-            "d (mm)", f"{geometry.d_mm:.4f}", f"{geometry.sigma_d_mm:.4f}", f"{self.truth.d_mm:.4f}"
-        )
+        table.add_row("d (mm)", f"{geometry.d_mm:.4f}", f"{geometry.sigma_d_mm:.4f}", f"{self.truth.d_mm:.4f}")
         table.add_row("d, mean over the seen glass (mm)", f"{geometry.d_seen_mean_mm:.4f}", "", "")
         angles = (geometry.alpha_rad, geometry.beta_rad, geometry.gamma_rad)
-        table.add_row(
-            "alpha, beta, gamma (deg)", ", ".join(f"{np.rad2deg(angle):.3f}" for angle in angles), "", ""
-        )
+        table.add_row("alpha, beta, gamma (deg)", ", ".join(f"{np.rad2deg(angle):.3f}" for angle in angles), "", "")
         return table
 
     def _step_table(self) -> Table:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -121,14 +122,26 @@ def _run(world: World, request: Request, console: Console) -> Result:
 def _truth(rig: SimulatedRig, subject: str, measurement: Measurement, evaluation: Evaluation) -> Truth:
     """Ask the world, after the measurement, what it should have found."""
     rig.move_stage1(STAGE_POSITIONS_MM[0])
-    traced = rig.trace().point_mm[..., 2]
-    error = (measurement.depth_mm - traced)[evaluation.labels > 0]
+    points = rig.trace().point_mm
+    inside = evaluation.labels > 0
+    error = (measurement.depth_mm - points[..., 2])[inside]
+    planes = [_exact_plane(points[evaluation.labels == k + 1]) for k in range(evaluation.facet_count)]
+    steps = [
+        float((planes[k + 1] - planes[k]) @ (*step.at_mm, 1.0)) for k, step in enumerate(evaluation.steps)
+    ]
     return Truth(
-        steps_mm=true_steps_mm(rig.world, subject),
+        steps_mm=steps or true_steps_mm(rig.world, subject),
         d_mm=true_d_mm(rig.world),
         focal_px=rig.world.camera.fc_px,
         depth_rms_um=1e3 * float(np.sqrt(np.nanmean(error**2))),
     )
+
+
+def _exact_plane(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients (x, y, 1) of the plane through traced points, which have no noise."""
+    known = points[np.isfinite(points).all(axis=1)]
+    design = np.column_stack([known[:, :2], np.ones(len(known))])
+    return np.asarray(np.linalg.lstsq(design, known[:, 2], rcond=None)[0])
 
 
 def drawing(world: World) -> Drawing:

@@ -11,44 +11,40 @@ Bytes = NDArray[np.uint8]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-def _plain(image: Image, memory: Bytes, line_bytes: int, stride: int) -> None:
-    lines = memory.reshape(-1, stride)
-    np.copyto(lines[:, :line_bytes], image.view(np.uint8))
+def _plain(image: Image, lines: Bytes) -> None:
+    bytes_of_image = image.view(np.uint8)
+    np.copyto(lines[:, : bytes_of_image.shape[1]], bytes_of_image)
 
 
 @numba.njit(cache=True, nogil=True)
-def _mono10p(image: Image, memory: Bytes, stride: int) -> None:
+def _mono10p(image: Image, lines: Bytes) -> None:
     """Four pixels in five bytes: a stream of 10-bit words, least significant bit first."""
     for row in range(image.shape[0]):
-        place = row * stride
-        for column in range(0, image.shape[1], 4):
-            first, second = image[row, column], image[row, column + 1]
-            third, fourth = image[row, column + 2], image[row, column + 3]
-            memory[place] = first & 0xFF
-            memory[place + 1] = first >> 8 | second << 2 & 0xFF
-            memory[place + 2] = second >> 6 | third << 4 & 0xFF
-            memory[place + 3] = third >> 4 | fourth << 6 & 0xFF
-            memory[place + 4] = fourth >> 2
-            place += 5
+        for group in range(image.shape[1] // 4):
+            first, second = image[row, 4 * group], image[row, 4 * group + 1]
+            third, fourth = image[row, 4 * group + 2], image[row, 4 * group + 3]
+            lines[row, 5 * group] = first & 0xFF
+            lines[row, 5 * group + 1] = first >> 8 | second << 2 & 0xFF
+            lines[row, 5 * group + 2] = second >> 6 | third << 4 & 0xFF
+            lines[row, 5 * group + 3] = third >> 4 | fourth << 6 & 0xFF
+            lines[row, 5 * group + 4] = fourth >> 2
 
 
 @numba.njit(cache=True, nogil=True)
-def _mono10_packed(image: Image, memory: Bytes, stride: int) -> None:
+def _mono10_packed(image: Image, lines: Bytes) -> None:
     """Two pixels in three bytes: the outer ones hold the upper eight bits, the middle one the lowest two."""
     for row in range(image.shape[0]):
-        place = row * stride
-        for column in range(0, image.shape[1], 2):
-            left, right = image[row, column], image[row, column + 1]
-            memory[place] = left >> 2
-            memory[place + 1] = left & 3 | (right & 3) << 4
-            memory[place + 2] = right >> 2
-            place += 3
+        for pair in range(image.shape[1] // 2):
+            left, right = image[row, 2 * pair], image[row, 2 * pair + 1]
+            lines[row, 3 * pair] = left >> 2
+            lines[row, 3 * pair + 1] = left & 3 | (right & 3) << 4
+            lines[row, 3 * pair + 2] = right >> 2
 
 
-def _compiled(kernel: Callable[[Image, Bytes, int], None]) -> Callable[[Image, Bytes, int, int], None]:
-    def pack(image: Image, memory: Bytes, _line_bytes: int, stride: int) -> None:
+def _compiled(kernel: Callable[[Image, Bytes], None]) -> Callable[[Image, Bytes], None]:
+    def pack(image: Image, lines: Bytes) -> None:
         # One kind of array only: each other one would be compiled anew, in the middle of a stream.
-        kernel(np.require(image, requirements=["C", "W"]), memory, stride)
+        kernel(np.require(image, requirements=["C", "W"]), lines)
 
     return pack
 
@@ -61,7 +57,7 @@ class PixelFormat:
     value: int
     bits: int
     bits_per_pixel: int
-    _pack: Callable[[Image, Bytes, int, int], None]
+    _pack: Callable[[Image, Bytes], None]
 
     def line_bytes(self, width: int) -> int:
         """Bytes of a line of `width` pixels (a multiple of 4), without padding."""
@@ -73,8 +69,8 @@ class PixelFormat:
         Each line is followed by `padding` bytes, which are left as they are.
         """
         height, width = image.shape
-        size = self.line_bytes(width)
-        self._pack(image, memory[: height * (size + padding)], size, size + padding)
+        size = self.line_bytes(width) + padding
+        self._pack(image, memory[: height * size].reshape(height, size))
 
     def prepare(self) -> None:
         """Compile what packs this format, so that no frame waits for it."""

@@ -92,7 +92,7 @@ class CameraServer:
         with _short_path(self._socket_path) as address:
             self._listener.bind(address)
         self._listener.listen()
-        self._camera.on_unplug(self._cut_all)
+        self._camera.on_unplug(self._unplugged)
         self._accepting = Thread(target=self._accept, args=(self._listener,), name="camera server", daemon=True)
         self._accepting.start()
 
@@ -112,6 +112,12 @@ class CameraServer:
         for thread in threads:
             thread.join()
         self._camera.close()
+
+    def _unplugged(self) -> None:
+        # At once, not when the connection's thread notices: the next client may come right after a replug.
+        with self._lock:
+            self._session = None
+        self._cut_all()
 
     def _cut_all(self) -> None:
         with self._lock:

@@ -23,14 +23,19 @@ class PlanePattern:
         return _compose(self.planes)
 
 
+# Eight pixels of weight 1 for every value of a byte: a row's first pixel is the lowest bit of its first byte.
+_PIXELS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little").view(np.uint64)[:, 0]
+
+
 @lru_cache(maxsize=8)
 def _compose(planes: tuple[bytes, ...]) -> Image:
-    values = np.zeros((ROWS, COLUMNS), np.uint16)
+    # Eight pixels at a time: no bit leaves its byte, for there are at most eight planes.
+    eights = np.zeros(PLANE_BYTES, np.uint64)
     for weight, plane in enumerate(planes):
-        # A row's first pixel is the lowest bit of its first byte.
-        bits = np.unpackbits(np.frombuffer(plane, np.uint8), bitorder="little").reshape(ROWS, COLUMNS)
-        values += bits.astype(np.uint16) << weight
+        eights |= (_PIXELS << np.uint64(weight))[np.frombuffer(plane, np.uint8)]
+    image: Image = eights.view(np.uint8).reshape(ROWS, COLUMNS)
     full = (1 << len(planes)) - 1
-    image = ((values.astype(np.uint32) * 255 + full // 2) // full).astype(np.uint8)
+    if full < 255:
+        image = ((np.arange(full + 1) * 255 + full // 2) // full).astype(np.uint8)[image]
     image.setflags(write=False)
     return image

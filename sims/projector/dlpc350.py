@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from sims.clock import WorldClock
 from sims.projector.dlpc350_patterns import RgbImage
 from sims.projector.dlpc350_sequencer import Refused, Sequencer
-from sims.projector.player import Shown, SyncOutput
+from sims.projector.player import Projection, SyncOutput
 from sims.projector.usb_device import Endpoint, Identity, UsbDevice, UsbFaults
 
 VENDOR, PRODUCT = 0x0451, 0x6401
@@ -78,8 +78,8 @@ class Dlpc350Faults:
             return refused
 
 
-class Dlpc350(UsbDevice):
-    """The controller.
+class Dlpc350(Projection, UsbDevice):
+    """The controller; the images that it shows are (1140, 912).
 
     Parameters
     ----------
@@ -130,29 +130,9 @@ class Dlpc350(UsbDevice):
         self._pending = b""
         self._commands = self._make_commands()
 
-    def showing(self) -> Shown:
-        """Return what is shown now; images are (1140, 912)."""
-        return self.player.shown_at(self._clock.now())
-
-    def shown_at(self, time_s: float) -> Shown:
-        """Return what is shown at a time."""
-        return self.player.shown_at(time_s)
-
-    def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
-        """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps."""
-        return self.player.intervals(start_s, end_s)
-
-    def on_sync(self, callback: Callable[[float], None]) -> None:
-        """Call `callback(time_s)` at every leading edge of TRIG_OUT_1."""
-        self.player.on_sync(callback)
-
     def external_trigger(self, time_s: float, *, rising: bool = True) -> None:
         """Give the controller an edge at TRIG_IN_1."""
         self._sequencer.external_trigger(time_s, rising=rising)
-
-    def close(self) -> None:
-        """Raise no further edges."""
-        self.player.close()
 
     # --- the USB side
 

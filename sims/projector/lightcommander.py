@@ -15,7 +15,7 @@ from sims.clock import WorldClock
 from sims.projector.bitplanes import PLANE_BYTES, PLANES
 from sims.projector.lightcommander_box import DATA_SOURCES, LightCommanderBox, Refusal, VideoSource
 from sims.projector.lightcommander_frames import Request, RequestReader, Status, reply_frame
-from sims.projector.player import Shown, SyncOutput
+from sims.projector.player import Projection, SyncOutput
 from sims.projector.sequence_file import LEDS, batch_steps
 from sims.projector.usb_device import Endpoint, Identity, UsbDevice, UsbFaults
 
@@ -63,7 +63,7 @@ class LightCommanderFaults:
         self._box.player.miss_sync(edges)
 
 
-class LightCommander(UsbDevice):
+class LightCommander(Projection, UsbDevice):
     """The box: requests on one bulk endpoint, replies on the other.
 
     Parameters
@@ -105,29 +105,9 @@ class LightCommander(UsbDevice):
         self._last_byte_s = time.monotonic()
         self._operations = self._make_operations()
 
-    def showing(self) -> Shown:
-        """Return what is shown now."""
-        return self.player.shown_at(self._clock.now())
-
-    def shown_at(self, time_s: float) -> Shown:
-        """Return what is shown at a time."""
-        return self.player.shown_at(time_s)
-
-    def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
-        """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps."""
-        return self.player.intervals(start_s, end_s)
-
-    def on_sync(self, callback: Callable[[float], None], output: int = 0) -> None:
-        """Call `callback(time_s)` at every leading edge of a sync output."""
-        self.player.on_sync(callback, output)
-
     def external_trigger(self, time_s: float, *, rising: bool = True) -> None:
         """Give the box an edge at its trigger input."""
         self._box.external_trigger(time_s, rising=rising)
-
-    def close(self) -> None:
-        """Raise no further edges."""
-        self.player.close()
 
     # --- the USB side
 

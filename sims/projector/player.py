@@ -305,3 +305,30 @@ class Player:
             self._listeners = [[] for _ in self._outputs]
             if self._alarm is not None:
                 self._alarm.cancel()
+
+
+class Projection:
+    """What a projector twin offers the world: what it shows, now or at any time that is not long over."""
+
+    player: Player
+    _clock: WorldClock
+
+    def showing(self) -> Shown:
+        """Return what is shown now."""
+        return self.player.shown_at(self._clock.now())
+
+    def shown_at(self, time_s: float) -> Shown:
+        """Return what is shown at a time."""
+        return self.player.shown_at(time_s)
+
+    def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
+        """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps."""
+        return self.player.intervals(start_s, end_s)
+
+    def on_sync(self, callback: Callable[[float], None], output: int = 0) -> None:
+        """Call `callback(time_s)` at every leading edge of a sync output, from the clock's thread."""
+        self.player.on_sync(callback, output)
+
+    def close(self) -> None:
+        """Raise no further edges."""
+        self.player.close()

@@ -9,9 +9,7 @@ from irpmd_rig.core.planes import Plane
 
 ANGLE = np.deg2rad(37)
 # The camera's axes in M (rows), as in the physics notes, section 2.
-CAMERA_AXES = np.array(
-    [[np.cos(ANGLE), 0, np.sin(ANGLE)], [0, -1, 0], [np.sin(ANGLE), 0, -np.cos(ANGLE)]]
-)
+CAMERA_AXES = np.array([[np.cos(ANGLE), 0, np.sin(ANGLE)], [0, -1, 0], [np.sin(ANGLE), 0, -np.cos(ANGLE)]])
 CAMERA_MM = np.array([-160.0, 0.0, 330.0])
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from sims.boards import board_corners_mm, board_on_plate_pose, board_pose, plate_pose
 from sims.camera_rays import project
@@ -47,7 +48,7 @@ def test_all_corners_are_visible_and_together_they_reach_the_image_corners(full:
     assert pixels.min() > margin
     assert pixels.max() < 2047 - margin
     for corner in ((0, 0), (2047, 0), (0, 2047), (2047, 2047)):
-        assert np.linalg.norm(pixels - corner, axis=1).min() < 140
+        assert np.linalg.norm(pixels - corner, axis=1).min() < 2048 / 6
     cells = np.histogram2d(*pixels.T, bins=8, range=[[0, 2048], [0, 2048]])[0]
     assert np.all(cells > 0)
 
@@ -81,9 +82,10 @@ def test_rendered_board_on_plate_has_its_corners_at_the_present_position(full: W
     rig.move_stage2(100.0)
     place = board_on_plate_pose(full, rig.setup.stage2_mm)
     truth = project(full.camera, place.centre_mm + board_corners_mm(full.board) @ place.axes).reshape(-1, 2)
-    frame = rig.capture()
-    error = refined(frame, truth) - truth
-    assert np.sqrt((error**2).mean()) < 0.03
+    error = refined(rig.capture(), truth) - truth
+    # Rows along the pixels' rows: OpenCV's own sub-pixel bias is largest there.
+    assert np.sqrt((error**2).mean()) < 0.04
+    assert np.abs(error.mean(axis=0)).max() < 0.01
 
 
 def test_opencv_finds_the_board(full: World) -> None:
@@ -96,22 +98,15 @@ def test_opencv_finds_the_board(full: World) -> None:
     assert found
 
 
-def test_mean_albedo_of_a_pixel_is_its_share_of_black_and_white(ideal: World) -> None:
-    """Over the whole image the lamp's light adds up to that of the board's true areas, at any camera size."""
-    rig = SimulatedRig(ideal)
-    rig.place("board", pose=4)
-    fine = SimulatedRig(ideal.with_camera_size(1024))
-    fine.place("board", pose=4)
-    coarse_map, fine_map = rig.trace().lamp_factor, fine.trace().lamp_factor
-    averaged = fine_map.reshape(256, 4, 256, 4).mean(axis=(1, 3))
-    board = ndimage_inside(averaged)
-    assert np.abs(coarse_map - averaged)[board].max() < 0.01
-
-
-def ndimage_inside(image: np.ndarray) -> np.ndarray:
-    """Pixels off the board's rim, where a whole pixel either is on the board or not."""
-    on = image > 0
-    return on & np.roll(on, 2, 0) & np.roll(on, -2, 0) & np.roll(on, 2, 1) & np.roll(on, -2, 1)
+def test_mean_albedo_of_a_pixel_is_that_of_the_pixels_it_holds(ideal: World) -> None:
+    coarse, fine = SimulatedRig(ideal), SimulatedRig(ideal.with_camera_size(1024))
+    for rig in (coarse, fine):
+        rig.place("board", pose=4)
+    seen = coarse.trace()
+    held = fine.trace().lamp_factor.reshape(256, 4, 256, 4).mean(axis=(1, 3))
+    inside = binary_erosion(seen.kind == 2, iterations=3)
+    assert inside.sum() > 5000
+    assert np.abs(seen.lamp_factor - held)[inside].max() < 2e-3
 
 
 def test_impossible_pose_is_refused(full: World) -> None:

@@ -85,9 +85,7 @@ class _Seen:
 
     def thinned(self) -> _Seen:
         step = _SENSITIVITY_STRIDE
-        return _Seen(
-            self.position_mm[::step, ::step], self.rays[::step, ::step], self.mask[::step, ::step]
-        )
+        return _Seen(self.position_mm[::step, ::step], self.rays[::step, ::step], self.mask[::step, ::step])
 
 
 def calibrate_geometry(
@@ -163,9 +161,7 @@ def calibrate_geometry(
     )
 
 
-def _seen(
-    position_mm: NDArray[np.float64], rays: NDArray[np.float64], mask: NDArray[np.bool_], target: str
-) -> _Seen:
+def _seen(position_mm: NDArray[np.float64], rays: NDArray[np.float64], mask: NDArray[np.bool_], target: str) -> _Seen:
     usable = mask & np.isfinite(position_mm)
     if usable.sum() < 0.2 * mask.sum() or not usable.any():
         raise CalibrationError(
@@ -241,15 +237,18 @@ def _stage2_part_um(
         return np.asarray(normalised ** np.arange(relation.order + 1))
 
     response = sigma_mm * np.linalg.pinv(powers(relation.positions_mm))
-    base = _distance(*(target.plane(placement) for target in thin), drawing)
+
+    def distance(targets: list[_Seen], placement: PlatePlacement) -> float:
+        mirror, glass = (target.plane(placement) for target in targets)
+        return _distance(mirror, glass, drawing)
+
+    base = distance(thin, placement)
     variance = 0.0
     for position in range(len(relation.positions_mm)):
-        moved = [
-            replace(t, position_mm=t.position_mm + powers(t.position_mm) @ response[:, position]) for t in thin
-        ]
-        variance += (_distance(*(target.plane(placement) for target in moved), drawing) - base) ** 2
+        moved = [replace(t, position_mm=t.position_mm + powers(t.position_mm) @ response[:, position]) for t in thin]
+        variance += (distance(moved, placement) - base) ** 2
     board = replace(placement, position_mm=placement.position_mm + sigma_mm)
-    variance += (_distance(*(target.plane(board) for target in thin), drawing) - base) ** 2
+    variance += (distance(thin, board) - base) ** 2
     return 1e3 * float(np.sqrt(variance))
 
 

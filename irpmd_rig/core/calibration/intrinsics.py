@@ -102,9 +102,7 @@ class CameraCalibration:
     missed_views: tuple[int, ...]
 
 
-def find_corners(
-    image: NDArray[np.uint8] | NDArray[np.uint16], board: Checkerboard
-) -> NDArray[np.float32] | None:
+def find_corners(image: NDArray[np.uint8] | NDArray[np.uint16], board: Checkerboard) -> NDArray[np.float32] | None:
     """Inner corners of a checkerboard to a fraction of a pixel.
 
     Parameters
@@ -193,24 +191,24 @@ def calibrate_camera(
         raise FramesError(f"board images differ in size: {sorted({i.shape for i in images})}")
     with ThreadPoolExecutor(threads) as pool:
         corners = list(pool.map(lambda image: find_corners(image, board), images))
-    found = [view for view, c in enumerate(corners) if c is not None]
-    if len(found) < FEWEST_BOARDS:
+    views = [(view, c) for view, c in enumerate(corners) if c is not None]
+    if len(views) < FEWEST_BOARDS:
         raise CalibrationError(
-            f"the board of {board.inner_corners} inner corners was found in {len(found)} of {len(images)} images; "
+            f"the board of {board.inner_corners} inner corners was found in {len(views)} of {len(images)} images; "
             f"at least {FEWEST_BOARDS} are needed: check focus, exposure and that all corners are in the picture"
         )
     height, width = images[0].shape
-    return _bundle_adjust([(view, corners[view]) for view in found], board, (width, height), len(images))
+    return _bundle_adjust(views, board, (width, height), len(images))
 
 
 def _bundle_adjust(
-    views: list[tuple[int, NDArray[np.float32] | None]],
+    views: list[tuple[int, NDArray[np.float32]]],
     board: Checkerboard,
     size_px: tuple[int, int],
     image_count: int,
 ) -> CameraCalibration:
     points = board.points_mm
-    observed = [np.asarray(corners) for _, corners in views]
+    observed = [corners for _, corners in views]
     _, matrix, distortion, rotations, translations, sigma, sigma_poses, rms = cv2.calibrateCameraExtended(
         [points] * len(views), observed, size_px, None, None, flags=_FLAGS
     )
@@ -232,9 +230,7 @@ def _bundle_adjust(
     residuals = []
     boards = []
     for index, (view, corners) in enumerate(views):
-        projected, _ = cv2.projectPoints(
-            points, rotations[index], translations[index], matrix, np.asarray(distortion)
-        )
+        projected, _ = cv2.projectPoints(points, rotations[index], translations[index], matrix, np.asarray(distortion))
         residuals.append(np.reshape(corners, (-1, 2)) - np.reshape(projected, (-1, 2)))
         rotation = cv2.Rodrigues(rotations[index])[0]
         origin = np.ravel(translations[index])

@@ -70,9 +70,7 @@ class PlateRelation:
             If the map's shape is not the relation's.
         """
         if phase_rad.shape != self.centre_rad.shape:
-            raise FramesError(
-                f"the phase map is {phase_rad.shape}, the plate relation {self.centre_rad.shape}"
-            )
+            raise FramesError(f"the phase map is {phase_rad.shape}, the plate relation {self.centre_rad.shape}")
         position = np.empty(self.centre_rad.shape)
         phase = np.ascontiguousarray(phase_rad, dtype=np.float64)
         over_rows(
@@ -131,9 +129,7 @@ def fit_plate_relation(
     elif len({np.shape(phase) for phase in phases_rad}) == 1:
         stack = np.stack(list(phases_rad))
     else:
-        raise FramesError(
-            f"the plate's phase maps differ in shape: {sorted({np.shape(p) for p in phases_rad})}"
-        )
+        raise FramesError(f"the plate's phase maps differ in shape: {sorted({np.shape(p) for p in phases_rad})}")
     positions = np.asarray(positions_mm, dtype=np.float64)
     if stack.ndim != 3 or positions.shape != (len(stack),) or not np.all(np.isfinite(positions)):
         raise FramesError(
@@ -195,9 +191,7 @@ class PlatePlacement:
     position_mm: float
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
-    def depth_mm(
-        self, position_mm: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def depth_mm(self, position_mm: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Z in the camera frame at which each ray (H, W, 3) meets the plate at `position_mm` (H, W)."""
         travel = (position_mm - self.position_mm) * float(self.normal @ np.array(self.axis))
         return np.asarray((float(self.normal @ self.point_mm) + travel) / (directions @ self.normal))
@@ -219,6 +213,4 @@ def place_plate(board: BoardPose, position_mm: float) -> PlatePlacement:
         The stage gives relative depth only; 1 mm of error in the absolute one costs 216 um of d (physics notes,
         section 6).
     """
-    return PlatePlacement(
-        normal=board.rotation[:, 2], point_mm=board.centre_mm, position_mm=float(position_mm)
-    )
+    return PlatePlacement(normal=board.rotation[:, 2], point_mm=board.centre_mm, position_mm=float(position_mm))

@@ -106,9 +106,7 @@ def _blocks(
     return [item for item in blocks if item[0].shape[1] > 0]
 
 
-def _left_out_residuals(
-    phases: NDArray[np.float64], positions: NDArray[np.float64], order: int
-) -> NDArray[np.float64]:
+def _left_out_residuals(phases: NDArray[np.float64], positions: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     """Residual at each position when it is left out, (pixels, positions), mm."""
     low, high = phases.min(axis=0), phases.max(axis=0)
     t = ((2 * phases - (low + high)) / (high - low)).T

@@ -98,9 +98,7 @@ def find_facets(
     return Facets(labels, inside.count, inside.noise_mm)
 
 
-def _find(
-    depth_mm: NDArray[np.floating], known: NDArray[np.bool_], erosion_px: int, min_pixels: int | None
-) -> Facets:
+def _find(depth_mm: NDArray[np.floating], known: NDArray[np.bool_], erosion_px: int, min_pixels: int | None) -> Facets:
     noise = pixel_noise_mm(depth_mm, known)
     smooth, whole, change = _continuity(depth_mm, known)
     # The filter computes in single precision: smaller changes than its rounding mean nothing.
@@ -192,9 +190,7 @@ def _numbered(
     return Facets(renumbered[labels], int(kept.size), noise_mm)
 
 
-def _along_principal_direction(
-    centres: NDArray[np.float64], heights: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def _along_principal_direction(centres: NDArray[np.float64], heights: NDArray[np.float64]) -> NDArray[np.intp]:
     spread = centres - centres.mean(axis=0)
     direction = np.linalg.svd(spread, full_matrices=False)[2][0]
     order = np.argsort(spread @ direction)

@@ -48,6 +48,8 @@ class Step:
         Labels of the facets, "1-2".
     height_mm : float
         The step; positive where the second facet is higher.
+    at_mm : tuple of float
+        x, y of frame M at which the two planes are compared.
     mean_height_difference_mm : float
         Difference of the facets' mean heights: the same for parallel facets, other for tilted ones.
     random_um, calibration_um, alignment_um : float
@@ -56,6 +58,7 @@ class Step:
 
     name: str
     height_mm: float
+    at_mm: tuple[float, float]
     mean_height_difference_mm: float
     random_um: float
     calibration_um: float
@@ -101,9 +104,7 @@ def step_heights(
         raise EvaluationError(f"a step needs two facets, and {len(planes)} was found")
     curved = [str(plane.facet) for plane in planes if not plane.flat]
     if curved:
-        raise EvaluationError(
-            f"facet {', '.join(curved)} is curved: a step between planes is not defined for it"
-        )
+        raise EvaluationError(f"facet {', '.join(curved)} is curved: a step between planes is not defined for it")
     moved = {
         influence: [float(np.nanmean(influence.change_mm[facets.mask(p.facet)])) for p in planes]
         for influence in influences
@@ -118,6 +119,7 @@ def step_heights(
             Step(
                 name=f"{lower.facet}-{upper.facet}",
                 height_mm=upper.height_at(middle) - lower.height_at(middle),
+                at_mm=(float(middle[0]), float(middle[1])),
                 mean_height_difference_mm=upper.mean_height_mm - lower.mean_height_mm,
                 random_um=1e3 * float(np.sqrt(lower.variance_at(middle) + upper.variance_at(middle))),
                 calibration_um=float(np.sqrt(parts["calibration"])),

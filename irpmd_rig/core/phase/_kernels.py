@@ -18,7 +18,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from irpmd_rig.core._kernel_notice import announce_compilation
@@ -27,7 +28,7 @@ from irpmd_rig.core.phase._wide_vectors import wide_vectors
 Values = NDArray[Any]
 Floats = NDArray[np.float32]
 
-BLOCK = 4096
+BLOCK = 8192
 """Pixels of a block: its frames, phases and modulations stay in the second-level cache."""
 
 _SIMD = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
@@ -101,6 +102,18 @@ class Maps(NamedTuple):
     valid: NDArray[np.bool_]
 
 
+def _minus(a: Any, b: Any) -> Any:
+    """Subtract two values of frames as float32; compiled only."""
+
+
+@overload(_minus, jit_options=_SIMD)
+def _typed_minus(a: Any, b: Any) -> Any:  # noqa: ARG001 - the types of a and b
+    # Whole numbers are subtracted as such: one conversion to float32 instead of two.
+    if isinstance(a, types.Integer):
+        return lambda a, b: np.float32(np.int32(np.int32(a) - np.int32(b)))
+    return lambda a, b: a - b
+
+
 @njit(**_SIMD)
 def _turns(low: np.float32, high: np.float32, q: np.float32, s: np.float32, c: np.float32) -> np.float32:
     y = q * q
@@ -138,7 +151,7 @@ def _four_steps(
     i1, i2, i3 = first + pixels, first + _u(2) * pixels, first + _u(3) * pixels
     for i in range(_u(n)):
         v0, v1, v2, v3 = frames[first + i], frames[i1 + i], frames[i2 + i], frames[i3 + i]
-        turns[i], modulation[i] = _polar(_f(v3) - _f(v1), _f(v0) - _f(v2), _HALF)
+        turns[i], modulation[i] = _polar(_minus(v3, v1), _minus(v0, v2), _HALF)
         peak[i] = max(peak[i], max(max(v0, v1), max(v2, v3)))
 
 
@@ -160,10 +173,10 @@ def _eight_steps(
     for i in range(_u(n)):
         v0, v1, v2, v3 = frames[first + i], frames[i1 + i], frames[i2 + i], frames[i3 + i]
         v4, v5, v6, v7 = frames[i4 + i], frames[i5 + i], frames[i6 + i], frames[i7 + i]
-        d1 = _f(v1) - _f(v5)
-        d3 = _f(v3) - _f(v7)
-        s = (_f(v6) - _f(v2)) - _ROOT_HALF * (d1 + d3)
-        c = (_f(v0) - _f(v4)) + _ROOT_HALF * (d1 - d3)
+        d1 = _minus(v1, v5)
+        d3 = _minus(v3, v7)
+        s = _minus(v6, v2) - _ROOT_HALF * (d1 + d3)
+        c = _minus(v0, v4) + _ROOT_HALF * (d1 - d3)
         turns[i], modulation[i] = _polar(s, c, _QUARTER)
         top = max(max(max(v0, v1), max(v2, v3)), max(max(v4, v5), max(v6, v7)))
         peak[i] = max(peak[i], top)

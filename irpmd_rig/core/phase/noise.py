@@ -22,8 +22,8 @@ from irpmd_rig.core.phase.results import NoiseModel
 Floats = npt.NDArray[np.float32]
 
 _SMALL_PX = 16384
-_GRID = 64
-_RUNS, _LIT_RUNS, _RUN_PX = 64, 192, 16
+_GRID = 48
+_RUNS, _LIT_RUNS, _RUN_PX = 32, 96, 16
 _GROUPS = 8
 _FEWEST = 24
 """Samples below which a group of pixels says nothing about its variance."""
@@ -43,7 +43,7 @@ def sample_cells(values: npt.NDArray[Any], saturation_dn: float) -> npt.NDArray[
     Returns
     -------
     array (sets, steps, cells, 4)
-        In the order I00, I01, I10, I11: all disjoint cells of small frames, 2048 of large ones; (sets, steps,
+        In the order I00, I01, I10, I11: all disjoint cells of small frames, 1024 of large ones; (sets, steps,
         pixels, 1) from frames of a single row or column. Fewer where some are saturated.
     """
     height, width = values.shape[2:]

@@ -86,9 +86,7 @@ def check_frames(
     if sample.values_dn.shape[2] < FEWEST_PIXELS:
         return _nothing_lit(sample, frames.shape[0], notes)
     floor = ROUNDING_DN2 if frames.dtype != np.float32 else 0.0
-    examined = _Examination(
-        sample, np.asarray(counts, float), floor, SmallLimits(min_blend, min_brightness_change)
-    )
+    examined = _Examination(sample, np.asarray(counts, float), floor, SmallLimits(min_blend, min_brightness_change))
     findings = examined.findings
     findings += _saturated(sample, max_saturated_fraction)
     findings += _weak(examined.modulation_dn, min_modulation_dn, examined.noise_dn)
@@ -117,6 +115,7 @@ class _Examination:
     def __init__(self, sample: Sample, counts: Floats, floor_dn2: float, limits: SmallLimits):
         values = sample.values_dn
         sets, steps, _ = values.shape
+        self._steps = steps
         self._recorded = values.reshape(sets * steps, -1)
         variation = float(np.median(np.sqrt(2) * self._recorded.std(axis=0)))
         trials = []
@@ -141,12 +140,13 @@ class _Examination:
 
     def _of_order(self, verdict: Verdict) -> list[FrameFinding]:
         """List the findings of one accepted hypothesis."""
-        hypothesis, steps = verdict.hypothesis, self._values.shape[1]
+        hypothesis, steps = verdict.hypothesis, self._steps
         if hypothesis.kind == "wrong":
             return [self._wrong(m, verdict) for m in hypothesis.frames]
         assert hypothesis.kind in ("dropped", "repeated", "swapped")
-        k, n = _place(hypothesis.frames[0], steps)
-        other = _place(hypothesis.frames[-1], steps) if hypothesis.kind == "swapped" else None
+        first, last = min(hypothesis.frames), max(hypothesis.frames)
+        k, n = _place(first, steps)
+        other = _place(last, steps) if hypothesis.kind == "swapped" else None
         moved = (hypothesis.source != np.arange(hypothesis.source.size)) & (hypothesis.source >= 0)
         change = self._recorded[hypothesis.source[moved]] - self._recorded[moved]
         rms = float(np.sqrt((change**2).mean())) if moved.any() else 0.0
@@ -154,7 +154,7 @@ class _Examination:
 
     def _wrong(self, place: int, verdict: Verdict) -> FrameFinding:
         """Say what is the matter with a frame that is known to be wrong."""
-        steps = self._values.shape[1]
+        steps = self._steps
         what = describe(self._recorded, self._values, self._present, place, verdict.variance_dn2)
         other = None if what.other is None else _place(what.other, steps)
         kind = what.kind
@@ -171,11 +171,9 @@ class _Examination:
         if self.between and self._present.all():
             result = misfit(self._values[..., ::4], self._present, self._counts, between=True)
             noise = None if result is None else float(np.sqrt(result.variance_dn2()))
-        steps = self._values.shape[1]
+        steps = self._steps
         found = []
-        for fault in find_small(
-            self._values, self._present, self._counts, sample.tile, noise_dn=noise, limits=limits
-        ):
+        for fault in find_small(self._values, self._present, self._counts, sample.tile, noise_dn=noise, limits=limits):
             kind: FindingKind = fault.kind
             if kind == "blended" and fault.size >= STALE_SHARE:
                 kind = "stale"

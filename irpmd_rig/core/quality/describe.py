@@ -66,9 +66,7 @@ def _expected(values: Floats, present: NDArray[np.bool_], place: int) -> _Expect
     return _Expected(frame, fringes, variance, weight)
 
 
-def describe(
-    recorded: Floats, values: Floats, present: NDArray[np.bool_], place: int, noise_dn2: float
-) -> Description:
+def describe(recorded: Floats, values: Floats, present: NDArray[np.bool_], place: int, noise_dn2: float) -> Description:
     """Say what the frame at `place` shows.
 
     Parameters
@@ -108,9 +106,7 @@ def describe(
     return Description("stale" if missing >= STALE_SHARE else "blended", missing, rms)
 
 
-def _of_previous(
-    recorded: Floats, expected: _Expected, place: int, noise_dn2: float
-) -> tuple[Description, float]:
+def _of_previous(recorded: Floats, expected: _Expected, place: int, noise_dn2: float) -> tuple[Description, float]:
     """Share of the previous frame, freed of the bias by the noise that both sides of the fit contain."""
     towards = recorded[place - 1] - expected.frame
     difference = recorded[place] - expected.frame
@@ -125,7 +121,9 @@ def _of_previous(
 def _of_brightness(frame: Floats, expected: _Expected) -> tuple[Description, float]:
     """One factor over the whole frame."""
     factor = float((frame * expected.frame).sum() / (expected.frame**2).sum())
-    return Description("brightness", factor - 1, 0.0), float(((frame - factor * expected.frame) ** 2).mean())
+    kind: FindingKind = "black" if factor < 1 - STALE_SHARE else "brightness"
+    magnitude = 1.0 if kind == "black" else factor - 1
+    return Description(kind, magnitude, 0.0), float(((frame - factor * expected.frame) ** 2).mean())
 
 
 def _missing_share(frame: Floats, expected: _Expected, noise_dn2: float) -> float:

@@ -309,7 +309,6 @@ def phases_agree(values: Floats, present: Bools, counts: Floats) -> bool:
     rng = np.random.default_rng(0)
     mixed = replace(fits, z=np.stack([rng.permutation(z) for z in fits.z]))
     agreement, chance = (
-        float(np.median((common_coordinate(f, counts).tangential ** 2).sum(axis=0)) / scale**2)
-        for f in (fits, mixed)
+        float(np.median((common_coordinate(f, counts).tangential ** 2).sum(axis=0)) / scale**2) for f in (fits, mixed)
     )
     return agreement < PHASES_AGREE * chance

@@ -26,12 +26,17 @@ SURE = 0.99
 SCREEN_PIXELS = 500
 DECIDE_PIXELS = 4000
 FINALISTS = 6
-SUSPECTS = 10
+SUSPECTS = 16
+SETTLED = 0.02
+"""Swaps between sets are not tried if another fault lowers the misfit to this, or to a harmless one."""
+
+NO_BETTER = 0.93
+"""If no single fault lowers the misfit below this, two faults are not looked for either."""
 
 MUCH_BETTER = 0.7
 MUCH_BETTER_AGAIN = 0.5
 CLEARLY_BEST = 0.85
-OVERWHELMING = 0.2
+OVERWHELMING = 0.4
 """An order is accepted if its misfit (squares) is below MUCH_BETTER (a second fault: MUCH_BETTER_AGAIN) of the
 misfit as recorded and below
 CLEARLY_BEST of the runner-up's, or below OVERWHELMING of the misfit as recorded (then a rival may exist, and
@@ -73,16 +78,16 @@ def likely_faults(source: Integers, steps: int) -> list[Hypothesis]:
     """One fault more than `source` already has: a wrong, lost or repeated frame, a swap within a set."""
     size = source.size
     kept = np.flatnonzero(source >= 0)
-    number = (source.reshape(-1, steps) >= 0).sum(axis=1)
-    # In a set that already lacks a frame one frame more can explain anything.
-    free = [m for m in kept.tolist() if number[m // steps] == steps]
-    found = [Hypothesis("wrong", _without(source, (m,)), (m,)) for m in free]
+    found = [Hypothesis("wrong", _without(source, (m,)), (m,)) for m in kept.tolist()]
     for m in range(size - 1):
         late = np.concatenate([source[:m], [-1], source[m:-1]])
         found.append(Hypothesis("dropped", late, (m,)))
         early = np.concatenate([source[:m], source[m + 1 :], [-1]])
         found.append(Hypothesis("repeated", early, (m,)))
-    return found + swaps(source, [p for p in combinations(kept.tolist(), 2) if p[0] // steps == p[1] // steps])
+    found += swaps(source, [p for p in combinations(kept.tolist(), 2) if p[0] // steps == p[1] // steps])
+    # A set of which only two frames are left adapts to the others: it would explain too much.
+    fewest = min(3, steps - 1)
+    return [h for h in found if ((h.source.reshape(-1, steps) >= 0).sum(axis=1) >= fewest).all()]
 
 
 def swaps(source: Integers, pairs: list[tuple[int, int]]) -> list[Hypothesis]:
@@ -201,7 +206,8 @@ def find_orders(
     while np.isfinite(base) and len(verdicts) < ROUNDS:
         if base < harmless:
             return present.source, verdicts, 0.0
-        verdict = _next(court, present, base, MUCH_BETTER_AGAIN if verdicts else MUCH_BETTER)
+        wanted = MUCH_BETTER_AGAIN if verdicts else MUCH_BETTER
+        verdict = _next(court, present, base, wanted, harmless)
         if verdict is None:
             break
         verdicts.append(verdict)
@@ -210,13 +216,18 @@ def find_orders(
     return present.source, verdicts, base
 
 
-def _next(court: Court, present: Hypothesis, base: float, wanted: float) -> Verdict | None:
+def _next(court: Court, present: Hypothesis, base: float, wanted: float, harmless: float) -> Verdict | None:
     """One more fault: the many unlikely ones are tried only if no likely one explains nearly everything."""
     rivals = likely_faults(present.source, court.steps)
+    if len(rivals) < 2:
+        return None
     screened = [court.score(h, SCREEN_PIXELS) for h in rivals]
     likely = _finalists(court, rivals, screened)
     pairs = _suspect_pairs(rivals, screened, court.steps)
-    if min(score for _, score in likely) > OVERWHELMING * base:
+    lowest = min(score for _, score in likely)
+    if court.steps > 3 and lowest > NO_BETTER * base:
+        return None
+    if lowest > max(SETTLED * base, harmless):
         far = swaps(present.source, [p for p in pairs if p[0] // court.steps != p[1] // court.steps])
         likely += _finalists(court, far, [court.score(h, SCREEN_PIXELS) for h in far])
     verdict = _decide(court, present, likely, base, wanted)
@@ -234,9 +245,7 @@ def _suspect_pairs(rivals: list[Hypothesis], scores: list[float], steps: int) ->
     return list(combinations(sorted(m for _, m in sorted(singles)[:number]), 2))
 
 
-def _finalists(
-    court: Court, rivals: list[Hypothesis], screened: list[float]
-) -> list[tuple[Hypothesis, float]]:
+def _finalists(court: Court, rivals: list[Hypothesis], screened: list[float]) -> list[tuple[Hypothesis, float]]:
     """Pick the best of many by their scores on few pixels, with their scores on more."""
     best = np.argsort(screened, kind="stable")[:FINALISTS]
     return [(rivals[i], court.score(rivals[i], DECIDE_PIXELS)) for i in best]

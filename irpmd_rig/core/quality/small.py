@@ -243,9 +243,7 @@ def _scaled_inverse(total: Floats, fixed: list[int]) -> Floats:
     return inverse
 
 
-def _state(
-    values: Floats, present: NDArray[np.bool_], counts: Floats, tile: Integers, *, between: bool
-) -> _State:
+def _state(values: Floats, present: NDArray[np.bool_], counts: Floats, tile: Integers, *, between: bool) -> _State:
     """Linearise the frames about what they should be."""
     sets, steps, _ = values.shape
     fits = fit_sets(values, present)
@@ -376,9 +374,7 @@ def _trials(equations: _Equations, chosen: list[int]) -> list[_Trial]:
     return trials
 
 
-def _greedy(
-    equations: _Equations, state: _State, limits: SmallLimits, share: float
-) -> list[tuple[_Trial, float]]:
+def _greedy(equations: _Equations, state: _State, limits: SmallLimits, share: float) -> list[tuple[_Trial, float]]:
     """Accept the fault that explains most, then look again beside it; with its confidence.
 
     `share`: part of the limits from which a fault is taken up.

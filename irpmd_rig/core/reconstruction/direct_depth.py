@@ -78,22 +78,16 @@ def _phase_map(phase: ArrayLike) -> NDArray[np.floating]:
     if native.kind in "iu":
         native = np.dtype(np.float64)
     if native not in _SINGULAR or array.ndim != 2:
-        raise FramesError(
-            f"a phase map must be (H, W) float32 or float64, not {array.shape} {array.dtype}"
-        )
+        raise FramesError(f"a phase map must be (H, W) float32 or float64, not {array.shape} {array.dtype}")
     return array.astype(native, copy=False)
 
 
 def _check_distances(d_mm: float, delta_d_mm: float) -> None:
     if not (np.isfinite(d_mm) and d_mm > 0):
-        raise MeasurementError(
-            f"d_mm must be a positive distance from the reference to the glass, not {d_mm}"
-        )
+        raise MeasurementError(f"d_mm must be a positive distance from the reference to the glass, not {d_mm}")
     if not np.isfinite(delta_d_mm) or delta_d_mm == 0:
         raise MeasurementError(
             f"delta_d_mm must be a travel other than 0 (positive: away from the glass), not {delta_d_mm}"
         )
     if d_mm + delta_d_mm <= 0:
-        raise MeasurementError(
-            f"delta_d_mm = {delta_d_mm} moves the reference through the glass at d_mm = {d_mm}"
-        )
+        raise MeasurementError(f"delta_d_mm = {delta_d_mm} moves the reference through the glass at d_mm = {d_mm}")

@@ -39,9 +39,7 @@ class SmoothPhase:
     coherent_rad: float
 
 
-def smooth_reference(
-    phase_rad: NDArray[np.floating], *, region: NDArray[np.bool_] | None = None
-) -> SmoothPhase:
+def smooth_reference(phase_rad: NDArray[np.floating], *, region: NDArray[np.bool_] | None = None) -> SmoothPhase:
     """Fit a smooth surface through the absolute phase of a plane reference mirror.
 
     Parameters
@@ -122,8 +120,8 @@ def _cell_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _coherent(residual: NDArray[np.float64], side: int = 32) -> float:
     height, width = (size // side * side for size in residual.shape)
-    blocks = residual[:height, :width].reshape(height // side, side, width // side, side)
-    blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, side * side)
+    cells = residual[:height, :width].reshape(height // side, side, width // side, side)
+    blocks = cells.transpose(0, 2, 1, 3).reshape(-1, side * side)
     full = np.isfinite(blocks).mean(axis=1) > 0.9
     if not full.any():
         return float("nan")

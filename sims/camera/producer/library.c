@@ -135,6 +135,7 @@ GC_API GCInitLib(void) {
     pthread_mutex_lock(&library.lock);
     bool again = library.initialised;
     library.initialised = true;
+    library_path(); /* found once, before other threads can ask */
     pthread_mutex_unlock(&library.lock);
     return again ? fail(GC_ERR_RESOURCE_IN_USE, "the library is initialised already") : GC_ERR_SUCCESS;
 }

@@ -95,5 +95,5 @@ def test_the_uncertainty_of_d_names_its_parts():
 
 
 def test_a_glass_beyond_the_plates_range_is_said():
-    with pytest.raises(CalibrationError, match="glass.*extend the plate's positions"):
+    with pytest.raises(CalibrationError, match=r"glass.*extend the plate's positions"):
         geometry([0, 0, 1], 290.0)

@@ -26,9 +26,7 @@ def stack(noise_rad=0.0, seed=0):
 def test_the_relation_gives_positions_between_the_calibrated_ones():
     relation = fit_plate_relation(stack(), POSITIONS, order=5)
     for truth in (3.0, 77.7, 195.0):
-        np.testing.assert_allclose(
-            relation.position_mm(plate_phase(truth).astype(np.float32)), truth, atol=2e-3
-        )
+        np.testing.assert_allclose(relation.position_mm(plate_phase(truth).astype(np.float32)), truth, atol=2e-3)
 
 
 def test_the_order_is_the_smallest_without_a_coherent_residual():

@@ -34,7 +34,7 @@ def test_the_treads_of_table_2_are_found_for_any_noise_and_tilt(noise_um, along,
 
 @pytest.mark.parametrize("steps_mm", [(0.9,), (2.0, 3.0), (6.5, 5.5, 5.0, 4.0, 3.0), (-3.0, -4.0)])
 def test_any_number_of_steps_numbered_upwards(steps_mm):
-    depth, truth = stepped_depth(steps_mm, noise_mm=0.1)
+    depth, _truth = stepped_depth(steps_mm, noise_mm=0.1)
     facets = find_facets(depth)
     assert facets.count == len(steps_mm) + 1
     means = [depth[facets.mask(label)].mean() for label in range(1, facets.count + 1)]
@@ -59,7 +59,7 @@ def test_edges_that_mix_both_sides_specks_and_outliers_do_no_harm():
 
 
 def test_a_scratch_does_not_part_a_facet_a_gap_does():
-    depth, truth = stepped_depth((5.0,), along="y", noise_mm=0.05)
+    depth, _truth = stepped_depth((5.0,), along="y", noise_mm=0.05)
     depth[:, 150:154] = np.nan
     assert find_facets(depth).count == 2
     depth[:, 150:170] = np.nan

@@ -45,7 +45,7 @@ def test_the_fit_is_unbiased_where_a_plain_one_is_not():
     noise_mm = 0.3
     slopes, plain = [], []
     for seed in range(12):
-        depth, truth = stepped_depth(along="x", noise_mm=noise_mm, seed=seed)
+        depth, _truth = stepped_depth(along="x", noise_mm=noise_mm, seed=seed)
         facets, planes = measured(depth)
         slopes += [plane.slope[0] for plane in planes]
         plain += [
@@ -67,7 +67,7 @@ def test_the_stated_random_uncertainty_holds(noise_mm):
 
 
 def test_influences_add_in_quadrature_and_only_their_differences_count():
-    depth, truth = stepped_depth((4.0, 5.0))
+    depth, _truth = stepped_depth((4.0, 5.0))
     facets, planes = measured(depth)
     shift = Influence("offset", "calibration", np.full(depth.shape, 3.0))
     scale = Influence("travel", "calibration", 1e-3 * depth)

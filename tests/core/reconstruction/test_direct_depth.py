@@ -59,9 +59,7 @@ def test_below_a_billionth_of_a_millimetre_in_the_rig_of_the_paper():
 
 
 def test_the_printed_sign_of_the_paper_is_refuted_by_a_tilted_tread():
-    maps = [
-        glass_x(*surface, shift, D)[0] for surface in ((0, 0, 0), (5.0, 0.01, 0.0)) for shift in (0.0, 40.0)
-    ]
+    maps = [glass_x(*surface, shift, D)[0] for surface in ((0, 0, 0), (5.0, 0.01, 0.0)) for shift in (0.0, 40.0)]
     r1, r2, m1, m2 = maps
     printed = (40.0 * (r1 - m1) + D * ((r1 - r2) - (m1 - m2))) / ((r1 - r2) + (m1 - m2))
     truth = glass_x(5.0, 0.01, 0.0, 0.0, D)[1]

@@ -5,7 +5,7 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,8 @@ def test_a_producer_of_another_version_finds_no_camera(server: CameraServer, cap
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300))
 def test_nonsense_harms_nobody(server: CameraServer, nonsense: bytes) -> None:
-    with connected(server) as connection:
+    # The server may hang up before it has read all.
+    with connected(server) as connection, suppress(ConnectionError):
         connection.sendall(nonsense)
         connection.shutdown(socket.SHUT_WR)
         while connection.recv(4096):
@@ -90,9 +91,9 @@ def test_a_path_may_be_long_and_the_end_is_clean(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 40)
     folder.mkdir()
     camera = CameraTwin(lambda *_: np.zeros((48, 64), np.uint8), Clock(), CameraSettings(size_px=(64, 48)))
-    before = threading.active_count()
+    before = set(threading.enumerate())
     for _ in range(2):
         with CameraServer(camera, folder) as server, connected(server) as connection:
             assert ask(connection, LIST, argument=1)[0] == Status.SUCCESS
-        assert threading.active_count() == before
+        assert set(threading.enumerate()) <= before
     assert [path.name for path in folder.iterdir()] == ["irpmd-sim.cti"]

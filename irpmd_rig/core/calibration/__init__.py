@@ -1,0 +1,1 @@
+"""Calibration from frames: camera, plate, planes and distance."""

@@ -1,0 +1,1 @@
+"""From phases to heights and points."""
