@@ -186,8 +186,9 @@ class Mirror(Part):
                 raise ValueError(f"{name} must be [low, high] with low < high")
         if self.sprayed_x_mm is not None:
             low, high = self.sprayed_x_mm
-            if not self.x_mm[0] <= low < high < self.x_mm[1] or low != self.x_mm[0]:
-                raise ValueError("sprayed_x_mm must begin where x_mm begins and end inside it")
+            inside = self.x_mm[0] <= low < high <= self.x_mm[1]
+            if not inside or (low == self.x_mm[0]) == (high == self.x_mm[1]):
+                raise ValueError("sprayed_x_mm must be a part of x_mm that reaches one of its two ends")
         return self
 
 

@@ -140,10 +140,12 @@ def object_patches(world: "World", name: str) -> list[Patch]:
 
 def _mirror(world: "World") -> list[Patch]:
     mirror = world.mirror
-    x0, x1 = mirror.x_mm
-    edge = x0 if mirror.sprayed_x_mm is None else mirror.sprayed_x_mm[1]
+    bare = mirror.x_mm
+    if mirror.sprayed_x_mm is not None:
+        low, high = mirror.sprayed_x_mm
+        bare = (high, bare[1]) if low == bare[0] else (bare[0], low)
     origin = np.zeros(3)
-    patches = [Patch(origin, _UPRIGHT, _rectangle((edge, x1), mirror.y_mm), reflectance=mirror.reflectivity)]
+    patches = [Patch(origin, _UPRIGHT, _rectangle(bare, mirror.y_mm), reflectance=mirror.reflectivity)]
     if mirror.sprayed_x_mm is not None:
         sprayed = _rectangle(mirror.sprayed_x_mm, mirror.y_mm)
         patches.append(Patch(origin, _UPRIGHT, sprayed, kind=DIFFUSE, reflectance=mirror.sprayed_albedo))

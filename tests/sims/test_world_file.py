@@ -123,7 +123,7 @@ def test_all_errors_are_told_at_once_each_with_its_place(write: Writer) -> None:
         ("axis: [0.0, 0.0, -1.0]", "axis: [0.0, 0.0, 1.0]", "looks away from the glass"),
         ("axis: [0.0, 0.0, -1.0]", "axis: [0.0, 0.0, 0.0]", "has no direction"),
         ("axis: [0.0, 0.0, -1.0]", "axis: [2.0, 0.0, 0.0]", "parallel to x"),
-        ("sprayed_x_mm: [-60.0, -12.0]", "sprayed_x_mm: [-50.0, -12.0]", "sprayed_x_mm must begin where"),
+        ("sprayed_x_mm: [-60.0, -12.0]", "sprayed_x_mm: [-50.0, -12.0]", "reaches one of its two ends"),
         ("centre_mm: [36.0, 19.0, 3.0]", "centre_mm: [36.0, 5.0, 3.0]", "this mirror stands in mirror 0"),
         ("radius_x_mm: 100.0", "radius_x_mm: 15.0", "larger than its radii"),
         ("tilts_deg: [[0.6, 0.0], ", "tilts_deg: [", "one pair for each of the 5 facets"),

@@ -108,10 +108,14 @@ def _minus(a: Any, b: Any) -> Any:
 
 @overload(_minus, jit_options=_SIMD)
 def _typed_minus(a: Any, b: Any) -> Any:  # noqa: ARG001 - the types of a and b
-    # Whole numbers are subtracted as such: one conversion to float32 instead of two.
-    if isinstance(a, types.Integer):
-        return lambda a, b: np.float32(np.int32(np.int32(a) - np.int32(b)))
-    return lambda a, b: a - b
+    def whole(a: Any, b: Any) -> Any:
+        # One conversion to float32 instead of two.
+        return np.float32(np.int32(np.int32(a) - np.int32(b)))
+
+    def real(a: Any, b: Any) -> Any:
+        return a - b
+
+    return whole if isinstance(a, types.Integer) else real
 
 
 @njit(**_SIMD)

@@ -1,0 +1,143 @@
+"""A process of a driver's own, for a library that may hang or end its process: it can be killed."""
+
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+from drivers.errors import (
+    ConfigurationError,
+    DeviceFault,
+    DeviceLost,
+    InstrumentError,
+    NotConnected,
+    Refused,
+    TimedOut,
+    Unsupported,
+)
+from drivers.projector.messages import receive, send
+
+START_LIMIT_S = 20.0
+END_LIMIT_S = 2.0
+
+_KINDS: dict[str, type[InstrumentError]] = {
+    kind.__name__: kind for kind in (ConfigurationError, DeviceFault, NotConnected, Refused, Unsupported)
+}
+
+
+class Child:
+    """One process, started as a module of this package, that answers calls one after the other.
+
+    It has a session of its own and ends when this end of its socket is closed, so that it never outlives
+    the driver's process.
+
+    Parameters
+    ----------
+    device
+        Name of the instrument, for errors.
+    module
+        What it runs: `main` of this module gets the number of its socket and the options.
+    options
+        What it is told, as JSON.
+    """
+
+    def __init__(self, device: str, module: str, options: dict[str, Any]) -> None:
+        self._device = device
+        self._lock = threading.Lock()
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, str(theirs.fileno()), json.dumps(options)],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            )
+        self._connection = ours
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can still be called."""
+        return self._process.poll() is None
+
+    def greet(self) -> dict[str, Any]:
+        """Wait until it has begun, and return what it says of itself; any error ends it."""
+        try:
+            with self._lock:
+                self._connection.settimeout(START_LIMIT_S)
+                return self._answer()
+        except BaseException:
+            self.end()
+            raise
+
+    def call(self, call: str, data: bytes = b"", *, timeout_s: float, **values: Any) -> dict[str, Any]:
+        """Call it; an answer that does not come in time ends it.
+
+        Raises
+        ------
+        TimedOut
+            No answer within `timeout_s`; the process was killed.
+        DeviceLost
+            It has ended.
+        InstrumentError
+            What it says went wrong.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        if not self._lock.acquire(timeout=timeout_s):
+            raise TimedOut(self._device, f"{call} waited {timeout_s:g} s for another call", "try again")
+        try:
+            self._connection.settimeout(max(0.05, give_up_s - time.monotonic()))
+            try:
+                send(self._connection, {"call": call} | values, data)
+            except TimeoutError:
+                raise self._silent(call, timeout_s) from None
+            except OSError:
+                raise self._gone() from None
+            return self._answer(call)
+        finally:
+            self._lock.release()
+
+    def end(self) -> None:
+        """End the process and wait for it; never raises, may be repeated."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+        try:
+            self._process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._connection.close()
+
+    def _answer(self, call: str = "starting") -> dict[str, Any]:
+        try:
+            answer, _ = receive(self._connection)
+        except TimeoutError:
+            raise self._silent(call, self._connection.gettimeout() or 0.0) from None
+        except OSError:
+            raise self._gone() from None
+        if "error" in answer:
+            raise _KINDS[answer["error"]](self._device, answer["what"], answer["remedy"])
+        return answer
+
+    def _silent(self, call: str, timeout_s: float) -> TimedOut:
+        # Whatever it is doing, its next answer would be taken for that of the next call.
+        self._process.kill()
+        self._process.wait()
+        return TimedOut(self._device, f"{call} did not end within {timeout_s:.3g} s", "look at the projector, then retry")
+
+    def _gone(self) -> DeviceLost:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_LIMIT_S)
+        code = self._process.poll()
+        return DeviceLost(
+            self._device,
+            f"the process that drives it has ended (code {code})",
+            "see that its display or box is there, then retry",
+        )

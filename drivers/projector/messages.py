@@ -1,0 +1,33 @@
+"""How a driver and a process of its own speak to each other: JSON, then bytes, each with its length before it."""
+
+import json
+import socket
+import struct
+from typing import Any
+
+_HEAD = struct.Struct("<IQ")
+
+
+def send(connection: socket.socket, head: dict[str, Any], data: bytes = b"") -> None:
+    """Send one message; OSError if the other end has gone or does not take it in time."""
+    text = json.dumps(head).encode()
+    connection.sendall(_HEAD.pack(len(text), len(data)) + text)
+    connection.sendall(data)
+
+
+def receive(connection: socket.socket) -> tuple[dict[str, Any], bytes]:
+    """Receive one message; OSError if the other end has gone or does not send it in time."""
+    text_bytes, data_bytes = _HEAD.unpack(_exactly(connection, _HEAD.size))
+    head: dict[str, Any] = json.loads(_exactly(connection, text_bytes))
+    return head, _exactly(connection, data_bytes)
+
+
+def _exactly(connection: socket.socket, count: int) -> bytes:
+    buffer = bytearray(count)
+    view, got = memoryview(buffer), 0
+    while got < count:
+        part = connection.recv_into(view[got:])
+        if not part:
+            raise ConnectionError("the other end has gone")
+        got += part
+    return bytes(buffer)
