@@ -22,6 +22,7 @@ from irpmd_rig.shipped import shipped_worlds
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    pretty_exceptions_enable=False,
     help="Infrared phase-measuring deflectometry: the 3-D shape of mirror-like, also discontinuous, objects.",
 )
 _notes = Console(stderr=True)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 from drivers.errors import (
@@ -24,6 +25,8 @@ from drivers.projector.messages import receive, send
 
 START_LIMIT_S = 20.0
 END_LIMIT_S = 2.0
+# Where this package was imported from, so that the process finds it whatever its working directory.
+HERE = str(Path(__file__).parents[2])
 
 _KINDS: dict[str, type[InstrumentError]] = {
     kind.__name__: kind for kind in (ConfigurationError, DeviceFault, NotConnected, Refused, Unsupported)
@@ -58,7 +61,7 @@ class Child:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [HERE, os.environ.get("PYTHONPATH")]))},
             )
         self._connection = ours
 

@@ -22,4 +22,4 @@ def run() -> list[Row]:
     )
     if ended.returncode:
         raise OSError(f"python -m sims render-bench failed: {ended.stderr.strip()}")
-    return [Row(**row) for row in json.loads(ended.stdout)["rows"]]
+    return [Row(**row, sense="value at most") for row in json.loads(ended.stdout)["rows"]]

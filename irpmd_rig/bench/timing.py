@@ -24,9 +24,10 @@ class Row:
     ratio
         How they compare, in the direction that ``sense`` says.
     sense
-        ``"at least"``: the ratio is baseline over value, larger is better; ``"at most"``: the inverse.
+        ``"at least"``: the ratio is baseline over value, larger is better; ``"at most"``: the inverse;
+        ``"value at most"``: the limits are for the value itself, the ratio is as for "at least".
     must, aim
-        What the ratio has to reach and what it is meant to reach; None where no figure is set.
+        What has to be reached and what is meant to be reached; None where no figure is set.
     """
 
     name: str
@@ -35,14 +36,16 @@ class Row:
     baseline: str
     baseline_value: float
     ratio: float
-    sense: Literal["at least", "at most"]
+    sense: Literal["at least", "at most", "value at most"]
     must: float | None
     aim: float | None
 
     def reaches(self, limit: float | None) -> bool:
-        """Whether the ratio keeps a limit; a limit that is not set is kept."""
+        """Whether a limit is kept; a limit that is not set is kept."""
         if limit is None:
             return True
+        if self.sense == "value at most":
+            return self.value <= limit
         return self.ratio >= limit if self.sense == "at least" else self.ratio <= limit
 
 

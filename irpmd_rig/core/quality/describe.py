@@ -89,7 +89,13 @@ def describe(recorded: Floats, values: Floats, present: NDArray[np.bool_], place
         return Description("black", 1.0, rms)
     noise = noise_dn2 * (1 + expected.variance)
     wanted = max(float((difference**2).mean()) - noise, 1e-12)
-    trials = [_of_previous(recorded, expected, place, noise_dn2)] if place > 0 else []
+    trials = []
+    if place > 0:
+        trials.append(_of_previous(recorded[place - 1], frame, expected, place, noise_dn2))
+        if not present.ravel()[place - 1]:
+            # The camera missed the previous frame, which may yet have been displayed.
+            shown = _expected(values, present, place - 1).frame
+            trials.append(_of_previous(shown, frame, expected, place, noise_dn2))
     trials += [_of_brightness(frame, expected)]
     trials += [
         (Description("duplicate", 1.0, rms, other), float(((frame - recorded[other]) ** 2).mean()))
@@ -106,10 +112,12 @@ def describe(recorded: Floats, values: Floats, present: NDArray[np.bool_], place
     return Description("stale" if missing >= STALE_SHARE else "blended", missing, rms)
 
 
-def _of_previous(recorded: Floats, expected: _Expected, place: int, noise_dn2: float) -> tuple[Description, float]:
+def _of_previous(
+    previous: Floats, frame: Floats, expected: _Expected, place: int, noise_dn2: float
+) -> tuple[Description, float]:
     """Share of the previous frame, freed of the bias by the noise that both sides of the fit contain."""
-    towards = recorded[place - 1] - expected.frame
-    difference = recorded[place] - expected.frame
+    towards = previous - expected.frame
+    difference = frame - expected.frame
     shared = noise_dn2 * (expected.variance - expected.weight[place - 1])
     own = noise_dn2 * (1 + expected.variance - 2 * expected.weight[place - 1])
     share = ((difference * towards).mean() - shared) / max((towards**2).mean() - own, 1e-12)

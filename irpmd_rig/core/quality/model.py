@@ -296,19 +296,44 @@ def misfit(values: Floats, present: Bools, counts: Floats, *, between: bool) -> 
     return Misfit(squares, freedom, bool(fits.used.all())) if freedom > 0 else None
 
 
-def phases_agree(values: Floats, present: Bools, counts: Floats) -> bool:
-    """Whether the sets' phases agree clearly better than phases of different pixels would.
+@dataclass(frozen=True, slots=True)
+class PhaseAgreement:
+    """How well the sets' phases agree on one coordinate.
 
-    False when the counts do not determine each other (two sets alone often do not), when the noise hides
-    the orders, or when the frames are wrong.
+    Attributes
+    ----------
+    good
+        They agree clearly better than phases of different pixels would.
+    share_of_chance
+        Squared disagreement over that of different pixels (medians).
+    contradiction
+        (pixels,) by how much they disagree more than they should, where they do not agree although noise and
+        counts would let them; otherwise None.
+    """
+
+    good: bool
+    share_of_chance: float
+    contradiction: Floats | None
+
+
+def phase_agreement(values: Floats, present: Bools, counts: Floats, noise_dn: float) -> PhaseAgreement:
+    """Compare the disagreement of the sets' phases with that of chance.
+
+    It is not good when the counts do not determine each other (two sets alone often do not), when the noise
+    hides the orders (neither is a contradiction), or when the frames are wrong.
     """
     fits = refit_incomplete(values, present, fit_sets(values, present))
-    if fits.used.sum() < 2:
-        return False
-    scale = np.sqrt(np.median(np.abs(fits.z[fits.used]) ** 2))
+    number = int(fits.used.sum())
+    if number < 2:
+        return PhaseAgreement(good=False, share_of_chance=1.0, contradiction=None)
     rng = np.random.default_rng(0)
     mixed = replace(fits, z=np.stack([rng.permutation(z) for z in fits.z]))
-    agreement, chance = (
-        float(np.median((common_coordinate(f, counts).tangential ** 2).sum(axis=0)) / scale**2) for f in (fits, mixed)
+    seen, chance = ((common_coordinate(f, counts).tangential ** 2).sum(axis=0) for f in (fits, mixed))
+    limit = PHASES_AGREE * float(np.median(chance))
+    good = float(np.median(seen)) < limit
+    knowable = noise_dn**2 * (number - 1) < 0.5 * limit
+    return PhaseAgreement(
+        good=good,
+        share_of_chance=float(np.median(seen) / max(float(np.median(chance)), 1e-12)),
+        contradiction=seen - limit if knowable and not good else None,
     )
-    return agreement < PHASES_AGREE * chance

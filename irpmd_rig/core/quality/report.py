@@ -13,6 +13,7 @@ FindingKind = Literal[
     "black",
     "brightness",
     "unexpected",
+    "inconsistent",
     "saturated",
     "low_modulation",
 ]
@@ -27,6 +28,7 @@ _SENTENCES: dict[FindingKind, str] = {
     "black": "is black",
     "brightness": "is brighter by {magnitude:+.3f} of its mean",
     "unexpected": "is not the frame expected (share {magnitude:.2f} of its modulation is missing)",
+    "inconsistent": "has sets whose phases contradict each other ({magnitude:.2f} of what chance would give)",
     "saturated": "has {magnitude:.4f} of its lit pixels at full scale",
     "low_modulation": "has too little modulation in {magnitude:.3f} of its lit pixels",
 }
@@ -55,7 +57,8 @@ class FrameFinding:
         among all lit pixels lies above the limit, given the sub-sample.
     magnitude
         ``stale``, ``blended``: share of the previous frame (0..1). ``brightness``: relative change of the
-        frame's mean. ``unexpected``: share of its own modulation that is missing. ``saturated``,
+        frame's mean. ``unexpected``: share of its own modulation that is missing. ``inconsistent``: squared
+        disagreement of the phases, chance being 1. ``saturated``,
         ``low_modulation``: share of the lit pixels. ``dropped``, ``repeated``: 1 (frame). Otherwise 1.
     rms_dn
         RMS over the modulated pixels of recorded minus expected frame (DN); for ``saturated`` and

@@ -41,7 +41,7 @@ class Sample:
     lit_pixels
         Number of sampled lit pixels, saturated ones included.
     saturated_fraction
-        (sets, steps): share of the lit pixels at full scale.
+        (sets, steps): share of the lit pixels (if none is lit: of all) at full scale.
     lit_fraction
         Share of the sampled picture that is lit.
     noise_dn
@@ -171,8 +171,8 @@ def _tiled(
 ) -> Sample:
     """Choose up to PIXELS unsaturated lit pixels and order them by tile."""
     lit_values = values[..., lit]
-    sets, steps, size = lit_values.shape
-    saturated = np.zeros((sets, steps, size), bool) if full_scale is None else lit_values >= full_scale
+    size = lit_values.shape[2]
+    saturated = _at_full_scale(lit_values, full_scale)
     usable: NDArray[np.bool_] = np.logical_not(saturated.any(axis=(0, 1)))
     if np.count_nonzero(usable) < 0.1 * size:
         usable = np.ones(size, bool)
@@ -187,10 +187,14 @@ def _tiled(
         values_dn=lit_values[..., chosen[order]],
         tile=tile[order],
         lit_pixels=size,
-        saturated_fraction=saturated.mean(axis=2) if size else np.zeros((sets, steps)),
+        saturated_fraction=(saturated if size else _at_full_scale(values, full_scale)).mean(axis=2),
         lit_fraction=size / values.shape[2],
         noise_dn=float(noise_dn),
     )
+
+
+def _at_full_scale(values: Floats, full_scale: float | None) -> NDArray[np.bool_]:
+    return np.zeros(values.shape, bool) if full_scale is None else values >= full_scale
 
 
 def _tile_of(position: NDArray[np.int64]) -> NDArray[np.int64]:

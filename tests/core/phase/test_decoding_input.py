@@ -100,6 +100,16 @@ def test_threads_do_not_change_a_bit(threads, arranged, steps, counts, how):
     assert_same(decode(frames, counts, unwrapping=how, threads=threads), one)
 
 
+def test_an_earlier_result_lends_its_memory():
+    frames, others = scene(), scene()[:, :, ::-1, ::-1]
+    earlier = decode(others, COUNTS)
+    again = decode(frames, COUNTS, out=earlier)
+    assert np.shares_memory(again.phase_rad, earlier.phase_rad)
+    assert_same(again, decode(frames, COUNTS))
+    with pytest.raises(MeasurementError, match=r"out is a result of shape \(37, 203\).*\(9, 203\)"):
+        decode(frames[:, :, :9], COUNTS, out=earlier)
+
+
 def test_the_result_is_typed_and_frozen():
     absolute = decode(scene(), COUNTS)
     assert isinstance(absolute, AbsolutePhase)

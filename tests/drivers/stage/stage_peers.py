@@ -8,6 +8,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ class Peer:
         self._over.clear()
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
         self._link.unlink(missing_ok=True)
         self._link.symlink_to(os.ttyname(self._slave))
         self._run(self._serve, self._master)
@@ -65,8 +67,9 @@ class Peer:
         self._connection.shutdown(socket.SHUT_RDWR)
 
     def say(self, data: bytes) -> None:
-        """Send something unasked."""
-        os.write(self._master, data)
+        """Send something unasked; what does not fit into the line is lost."""
+        with suppress(BlockingIOError):
+            os.write(self._master, data)
 
     def end(self) -> None:
         if self._link is not None:
@@ -110,7 +113,8 @@ class Peer:
                 self.heard.append(frame)
                 self.heard_at.append(time.monotonic())
                 if answer := self.answer(frame):
-                    os.write(descriptor, answer)
+                    with suppress(BlockingIOError):
+                        os.write(descriptor, answer)
 
     def _cut(self, gathered: bytes) -> bytes:
         if self._frame_bytes is not None:
