@@ -41,14 +41,14 @@ class CameraControl:
 
     def capabilities(self) -> CameraCapabilities:
         """Tell what the camera can do."""
-        names = [
+        vendor, model, serial_number = (
             str(self._value(choices) or listed)
-            for choices, listed in zip(
-                (table.VENDOR, table.MODEL, table.SERIAL_NUMBER), self._identity, strict=True
-            )
-        ]
+            for choices, listed in zip((table.VENDOR, table.MODEL, table.SERIAL_NUMBER), self._identity, strict=True)
+        )
         return CameraCapabilities(
-            *names,
+            vendor=vendor,
+            model=model,
+            serial_number=serial_number,
             sensor_size_px=self._sensor_size(),
             pixel_formats=self._formats(),
             triggers=self._triggers(),
@@ -284,14 +284,16 @@ class CameraControl:
     def _in_force(self, settings: CameraSettings) -> CameraSettings:
         name, width, height = self.frame_format()
         rate = self._number(table.FRAME_RATE_HZ)
+        # Switched off, the node's number means nothing.
+        is_free = settings.frame_rate_hz is None and self._find(table.FRAME_RATE_OFF) is not None
         column, row = (int(self._value(choices) or 0) for choices in (table.COLUMN, table.ROW))
         return replace(
             settings,
             exposure_us=self.exposure_us(),
             gain_db=self._number(table.GAIN_DB),
             pixel_format=name,
-            region=Region(column, row, width, height),
-            frame_rate_hz=rate if settings.trigger == "free" else None,
+            region=Region(column, row, width, height) if self._has_region() else None,
+            frame_rate_hz=rate if settings.trigger == "free" and not is_free else None,
         )
 
     def _sensor_size(self) -> tuple[int, int]:
@@ -343,4 +345,7 @@ class CameraControl:
     def _unverified(self) -> tuple[str, ...]:
         rows = (table.TEMPERATURE_C, table.LINE_INPUT, table.FRAME_RATE_ON)
         found = [choice.unverified for choices in rows if (choice := self._find(choices)) and choice.unverified]
-        return (*found, *(table.UNVERIFIED_FORMATS[name] for name in self._formats() if name in table.UNVERIFIED_FORMATS))
+        return (
+            *found,
+            *(table.UNVERIFIED_FORMATS[name] for name in self._formats() if name in table.UNVERIFIED_FORMATS),
+        )

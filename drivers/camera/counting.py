@@ -42,6 +42,11 @@ class FrameCount:
         """Whether every position of the burst is accounted for."""
         return self._limit is not None and self._position >= self._limit
 
+    @property
+    def first(self) -> bool:
+        """Whether no frame has come yet."""
+        return self._next_id is None
+
     def frame(self, frame_id: int, stream_lost: int = 0) -> Arrival:
         """Take a complete frame.
 

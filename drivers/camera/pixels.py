@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Packing = Literal["none", "lsb", "grouped"]
 
-_ROWS_AT_ONCE = 32
+_ROWS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,7 @@ class PixelFormat:
     @property
     def group_px(self) -> int:
         """Pixels that fill whole bytes together: a line holds a multiple of it."""
-        if self.packing == "grouped":
-            return 2
-        return {10: 4, 12: 2}[self.bits] if self.packing == "lsb" else 1
+        return {"none": 1, "grouped": 2, "lsb": 4}[self.packing]
 
     def line_bytes(self, width_px: int) -> int:
         """Size of a line without padding."""
@@ -108,15 +106,21 @@ def unpack(
 
 
 def _unpack_lsb(lines: NDArray[np.uint8], form: PixelFormat, out: NDArray[Any]) -> None:
-    group_bytes = form.bits * form.group_px // 8
-    for lane in range(form.group_px):
-        offset, shift = divmod(form.bits * lane, 8)
-        # The 16 bits that hold a pixel, of every group: unaligned, which numpy copes with.
-        words = np.ndarray(
-            (len(lines), out.shape[1] // form.group_px), "<u2", lines, offset, (lines.strides[0], group_bytes)
-        )
-        np.right_shift(words, shift, out=out[:, lane :: form.group_px])
-    out &= (1 << form.bits) - 1
+    """Spread the four pixels of a group over a word of 64 bits: first two and two, then one and one."""
+    bits, group_bytes = form.bits, form.bits // 2
+    groups = out.size // 4
+    packed = np.zeros(groups * group_bytes + 8, np.uint8)
+    packed[:-8].reshape(len(lines), -1)[:] = lines[:, : form.line_bytes(out.shape[1])]
+    # Each word begins at its group and reaches into the next: what is too much is masked.
+    words = np.ndarray((groups,), "<u8", packed, 0, (group_bytes,)).astype(np.uint64)
+    pair, single = (1 << 2 * bits) - 1, (1 << bits) - 1
+    words = words & np.uint64(pair) | words << np.uint64(32 - 2 * bits) & np.uint64(pair << 32)
+    even, odd = np.uint64(single | single << 32), np.uint64((single | single << 32) << bits)
+    spread = out.reshape(-1).view(np.uint64)
+    np.bitwise_and(words, odd, out=spread)
+    spread <<= np.uint64(16 - bits)
+    words &= even
+    spread |= words
 
 
 def _unpack_grouped(lines: NDArray[np.uint8], form: PixelFormat, out: NDArray[Any]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FREE, TAKEN = 0, 1
+FREE, TAKEN = b"\0", b"\1"
 _PAGE = mmap.PAGESIZE
 # Constants of fcntl(2); Python 3.11's fcntl module has them, its type stubs do not.
 _ADD_SEALS, _SEAL_SIZE = 1033, 0x1 | 0x2 | 0x4
@@ -29,6 +29,11 @@ _MAP_FAILED = ctypes.c_void_p(-1).value
 
 def _pages(size_bytes: int) -> int:
     return -(-size_bytes // _PAGE) * _PAGE
+
+
+def _identity(descriptor: int) -> tuple[int, int]:
+    status = os.fstat(descriptor)
+    return status.st_dev, status.st_ino
 
 
 class RingWriter:
@@ -63,7 +68,7 @@ class RingWriter:
 
     def take(self, slot: int) -> None:
         """Give a filled slot to the program."""
-        self._memory[slot] = TAKEN
+        self._memory[slot : slot + 1] = TAKEN
 
     def close(self) -> None:
         """Let the memory go."""
@@ -102,6 +107,11 @@ class RingReader:
         self._memory = (ctypes.c_uint8 * size).from_address(address)
         weakref.finalize(self._memory, _libc.munmap, address, size).atexit = False
         self._lent = 0
+        self._identity = _identity(descriptor)
+
+    def same(self, descriptor: int) -> bool:
+        """Whether a descriptor is of this ring's memory."""
+        return self._identity == _identity(descriptor)
 
     def take(self, slot: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
         """Return a filled slot's frame as a read-only array that nothing ever changes.
@@ -120,7 +130,7 @@ class RingReader:
             raise ValueError("a frame outside the ring was announced")
         # An object of its own for each loan: numpy lets views of views refer to it directly.
         loan = (ctypes.c_uint8 * size).from_buffer(self._memory, _PAGE + slot * self._stride)
-        image = np.frombuffer(loan, kind).reshape(shape)
+        image: NDArray[Any] = np.frombuffer(memoryview(loan), kind).reshape(shape)
         if self._lent < self.slots // 2:
             self._lent += 1
             weakref.finalize(loan, self._give_back, slot).atexit = False
@@ -133,7 +143,7 @@ class RingReader:
     def free(self, slot: int) -> None:
         """Give a slot back that was not taken."""
         if 0 <= slot < self.slots:
-            self._memory[slot] = FREE
+            self._memory[slot] = FREE[0]
 
     def _give_back(self, slot: int) -> None:
         self._lent -= 1

@@ -23,4 +23,4 @@ def pack(image: NDArray[np.uint8], bits: int) -> list[bytes]:
         Bits per pixel that are kept: the upper ones.
     """
     values = image >> (8 - bits)
-    return [np.packbits(values >> bit & 1, axis=1, bitorder="little").tobytes() for bit in range(bits)]
+    return [np.packbits(values & 1 << bit, axis=1, bitorder="little").tobytes() for bit in range(bits)]

@@ -133,7 +133,8 @@ class Child:
         # Whatever it is doing, its next answer would be taken for that of the next call.
         self._process.kill()
         self._process.wait()
-        return TimedOut(self._device, f"{call} did not end within {timeout_s:.3g} s", "look at the projector, then retry")
+        what = f"{call} did not end within {timeout_s:.3g} s"
+        return TimedOut(self._device, what, "look at the projector, then retry")
 
     def _gone(self) -> DeviceLost:
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -87,8 +87,6 @@ def check_sequence(device: str, sequence: PatternSequence, count: int) -> None:
     """
     if not sequence.order:
         raise Refused(device, "the order is empty", "name at least one pattern")
-    for index in sequence.order:
-        check_index(device, index, count)
     if not 1 <= sequence.bits <= 8:
         raise Refused(device, f"{sequence.bits} bits per pixel", "give 1 to 8")
     if not 0.0 < sequence.exposure_us < 1e9:
@@ -100,6 +98,8 @@ def check_sequence(device: str, sequence: PatternSequence, count: int) -> None:
             f"a period of {period_us:g} us for an exposure of {sequence.exposure_us:g} us",
             "give at least the exposure",
         )
+    for index in sequence.order:
+        check_index(device, index, count)
 
 
 def check_index(device: str, index: int, count: int) -> None:

@@ -78,7 +78,7 @@ def parse_sequence_text(device: str, path: Path, text: str, *, infrared_name: st
     bits = _number(device, path, head, "Num BPP", "")
     period_us = 1e6 / rate_hz
     if abs(exposure_us / period_us - ratio) > CONSISTENT or exposure_us > period_us * (1 + CONSISTENT):
-        raise _wrong(device, path, f"its head contradicts itself: {exposure_us:g} us at {rate_hz:g} Hz is not {ratio:g}")
+        raise _wrong(device, path, f"its head contradicts itself: {exposure_us:g} us, {rate_hz:g} Hz, ratio {ratio:g}")
     if bits not in range(1, 9):
         raise _wrong(device, path, f"its head says {bits:g} bits per pixel")
     names = KNOWN_LEDS | {infrared_name: Led.INFRARED}

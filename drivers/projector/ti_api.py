@@ -38,9 +38,7 @@ OPERATIONS = {
     "DLP_Img_DownloadBitplanePatternToExtMem": Operation(
         (("plane_bytes", "bytes"), ("byte_count", "uint32"), ("plane", "uint16"))
     ),
-    "DLP_RegIO_WriteImageOrderLut": Operation(
-        (("bits_per_pixel", "byte"), ("order", "uint16s"), ("count", "uint16"))
-    ),
+    "DLP_RegIO_WriteImageOrderLut": Operation((("bits_per_pixel", "byte"), ("order", "uint16s"), ("count", "uint16"))),
     "RunBatchFile": Operation((("file", "string"), ("stop_on_error", "boolean"))),
     "DLP_LED_SetLEDEnable": Operation((_LED, ("on", "byte"))),
     "DLP_LED_SetLEDintensity": Operation((_LED, ("percent", "double"))),
@@ -64,7 +62,7 @@ OPERATIONS = {
 
 
 class Transport(Protocol):
-    """A way to the box; `call` may come from any thread, and calls follow one another."""
+    """A way to the box, used by one thread at a time."""
 
     def open(self) -> None:
         """Reach the box; NotConnected or ConfigurationError if that cannot be."""

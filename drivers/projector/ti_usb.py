@@ -1,6 +1,5 @@
 """TI's API over USB, as a profile says."""
 
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -10,8 +9,6 @@ from drivers.projector.ti_api import Result, Value
 from drivers.projector.usb_frames import Reply, StaleReply, decode_reply, decode_result, encode_request
 from drivers.projector.usb_link import UsbAddress, UsbBackend, UsbLink
 from drivers.projector.usb_profile import OperationLayout, UsbProfile
-
-LOCK_LIMIT_S = 5.0
 
 
 class UsbTransport:
@@ -46,15 +43,13 @@ class UsbTransport:
             serial_number,
         )
         self._link = UsbLink(device, address, backend, timeout_s)
-        self._lock = threading.Lock()
         self._sequence = 0
         self._disturbed = False
 
     def open(self) -> None:
         """Find and claim the box, and throw away what a former user left in its replies."""
-        with self._lock:
-            self._link.open()
-            self._disturbed = True
+        self._link.open()
+        self._disturbed = True
 
     def close(self) -> None:
         """Give the box back."""
@@ -78,26 +73,21 @@ class UsbTransport:
         layout = self._profile.operations[operation]
         if operation == "RunBatchFile":
             values["file"] = Path(str(values["file"])).read_text("ascii")
-        if not self._lock.acquire(timeout=LOCK_LIMIT_S):
-            raise TimedOut(self._device, "the USB line is busy", "wait, or close the projector")
-        try:
-            if self._disturbed:
-                self._recover()
-            self._sequence = (self._sequence + 1) % 256
-            self._disturbed = True
-            self._link.write(encode_request(self._profile, layout, self._sequence, values))
-            reply = self._reply(layout)
-            self._check_status(operation, reply.status)
-            result = decode_result(self._profile, self._device, layout, reply.payload)
-            self._disturbed = False
-            return result
-        finally:
-            self._lock.release()
+        if self._disturbed:
+            self.recover()
+        self._sequence = (self._sequence + 1) % 256
+        self._disturbed = True
+        self._link.write(encode_request(self._profile, layout, self._sequence, values))
+        reply = self._reply(layout)
+        self._check_status(operation, reply.status)
+        result = decode_result(self._profile, self._device, layout, reply.payload)
+        self._disturbed = False
+        return result
 
     def recover(self) -> None:
         """Clear halted endpoints and throw away late replies."""
-        with self._lock:
-            self._recover()
+        self._link.recover(int(self._profile.longest_reply_bytes))
+        self._disturbed = False
 
     def _reply(self, layout: OperationLayout) -> Reply:
         give_up_s = time.monotonic() + self._timeout_s
@@ -106,10 +96,6 @@ class UsbTransport:
             with suppress(StaleReply):
                 return decode_reply(self._profile, self._device, layout, self._sequence, frame)
         raise TimedOut(self._device, "only replies to earlier requests came", "look at the projector, then retry")
-
-    def _recover(self) -> None:
-        self._link.recover(int(self._profile.longest_reply_bytes))
-        self._disturbed = False
 
     def _check_status(self, operation: str, status: int) -> None:
         if status == self._profile.status_done:

@@ -3,6 +3,8 @@
 import struct
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.errors import GarbledReply
 from drivers.projector.ti_api import Result, Value
 from drivers.projector.usb_profile import FramePart, LayoutKind, OperationLayout, Parameter, UsbProfile
@@ -36,9 +38,7 @@ def encode_request(profile: UsbProfile, layout: OperationLayout, sequence: int, 
         The values of its parameters, by their names in TI's API.
     """
     order = _order(profile)
-    payload = b"".join(
-        _encode(order, parameter.type, values[parameter.name]) for parameter in _parameters(layout)
-    )
+    payload = b"".join(_encode(order, parameter.type, values[parameter.name]) for parameter in _parameters(layout))
     numbers = {"sequence": sequence, "opcode": int(layout.opcode), "length": len(payload)}
     frame = bytearray()
     for part in _parts(profile.request):
@@ -106,12 +106,10 @@ def decode_result(profile: UsbProfile, device: str, layout: OperationLayout, pay
 
 def checksum(profile: UsbProfile, kind: str, data: bytes) -> int:
     """Return the checksum over `data`, as wide as its part of the frame."""
+    values = np.frombuffer(data, np.uint8)
     if profile.checksum == "sum":
-        return sum(data) % (1 << 8 * _SIZES[kind])
-    result = 0
-    for byte in data:
-        result ^= byte
-    return result
+        return int(values.sum(dtype=np.uint64)) % (1 << 8 * _SIZES[kind])
+    return int(np.bitwise_xor.reduce(values))
 
 
 def _encode(order: str, kind: LayoutKind, value: Value) -> bytes:

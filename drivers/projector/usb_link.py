@@ -7,9 +7,9 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
-import usb.backend.libusb1  # type: ignore[import-untyped]
-import usb.core  # type: ignore[import-untyped]
-import usb.util  # type: ignore[import-untyped]
+import usb.backend.libusb1
+import usb.core
+import usb.util
 
 from drivers.errors import (
     ConfigurationError,
@@ -159,9 +159,7 @@ class UsbLink:
     def _claim(self) -> None:
         address = self._address
         serial = {} if address.serial_number is None else {"serial_number": address.serial_number}
-        found = usb.core.find(
-            backend=self._backend, idVendor=address.vendor, idProduct=address.product, **serial
-        )
+        found = usb.core.find(backend=self._backend, idVendor=address.vendor, idProduct=address.product, **serial)
         if found is None:
             which = "" if address.serial_number is None else f" with serial number {address.serial_number!r}"
             raise NotConnected(

@@ -72,7 +72,7 @@ class UsbProfile(Settings):
     reply: tuple[FramePart, ...] | Unknown
     longest_reply_bytes: Annotated[int, Field(ge=1, le=65536)] | Unknown
     status_done: Annotated[int, Field(ge=0)] | Unknown
-    statuses: dict[str, str] = {}
+    statuses: dict[str, str] = Field(default_factory=dict)
     fault_statuses: tuple[int, ...] = ()
     operations: dict[str, OperationLayout]
 
@@ -125,7 +125,7 @@ def _usable(profile: UsbProfile, device: str) -> UsbProfile:
         raise ConfigurationError(
             device,
             f"the USB profile {profile.title!r} leaves {len(unknowns)} things unknown: {listing}",
-            "copy the profile, fill it in from TI's documents (DLPA024, DLPA014, DLPU005) or a capture, and name the copy",
+            "copy it, fill it in from TI's documents (DLPA024, DLPA014, DLPU005) or a capture, and name the copy",
             ("profile",),
         )
     if not profile.enabled:

@@ -72,17 +72,13 @@ def median_ms(candidates: Mapping[str, Callable[[], object]], repeats: int) -> d
     return {name: 1e3 * statistics.median(times) for name, times in spans.items()}
 
 
-def faster(
-    name: str, medians: Mapping[str, float], baseline: str, must: float | None, aim: float | None
-) -> Row:
+def faster(name: str, medians: Mapping[str, float], baseline: str, must: float | None, aim: float | None) -> Row:
     """Row that says how many times faster ``name`` is than ``baseline``."""
     value, base = medians[name], medians[baseline]
     return Row(name, value, "ms", baseline, base, base / value, "at least", must, aim)
 
 
-def slower(
-    name: str, medians: Mapping[str, float], baseline: str, must: float | None, aim: float | None
-) -> Row:
+def slower(name: str, medians: Mapping[str, float], baseline: str, must: float | None, aim: float | None) -> Row:
     """Row that says how many times longer ``name`` takes than ``baseline``."""
     value, base = medians[name], medians[baseline]
     return Row(name, value, "ms", baseline, base, value / base, "at most", must, aim)

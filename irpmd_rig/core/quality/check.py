@@ -21,8 +21,8 @@ WEAK_SHARE = 0.5
 GATE_SIGMAS = 14.0
 """Modulation over noise from which the fringe orders are safe (physics notes, section 3)."""
 
-WEAK_SIGMAS = 3.5
-"""Modulation over noise below which a pixel's phase is worth nothing (0.2 rad at four steps)."""
+WEAK_SIGMAS = 3.0
+"""Modulation over noise below which a pixel's phase is worth nothing (0.24 rad at four steps)."""
 
 
 def check_frames(

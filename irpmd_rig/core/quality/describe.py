@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.quality.model import fit_sets, harmonic, refit_incomplete, sinusoid, without_harmonics
 from irpmd_rig.core.quality.report import FindingKind
+from irpmd_rig.core.quality.sets import fit_sets, harmonic, sinusoid
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -45,7 +45,7 @@ def _expected(values: Floats, present: NDArray[np.bool_], place: int) -> _Expect
     """Predict the frame at `place` from the others of its set (two suffice beside the mean of other sets)."""
     sets, steps, _ = values.shape
     k, n = divmod(place, steps)
-    fits = refit_incomplete(values, present, fit_sets(values, present))
+    fits = fit_sets(values, present)
     angle = 2 * np.pi * n / steps
     weight = np.zeros(sets * steps)
     design = sinusoid(steps)
@@ -61,8 +61,7 @@ def _expected(values: Floats, present: NDArray[np.bool_], place: int) -> _Expect
     variance = float((row**2).sum() + mean_part)
     frame = fits.mean[k] + fringes
     if steps > 3:
-        second = without_harmonics(fits, present)[1]
-        frame = frame + (second * harmonic(fits.z[k], steps, np.array([n]), 2)[0]).real
+        frame = frame + (fits.second * harmonic(fits.z[k], steps, np.array([n]), 2)[0]).real
     return _Expected(frame, fringes, variance, weight)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core.quality.describe import STALE_SHARE, describe
-from irpmd_rig.core.quality.model import fit_sets, misfit, phase_agreement
+from irpmd_rig.core.quality.model import misfit, phase_agreement
 from irpmd_rig.core.quality.order import (
     CLEARLY_BEST,
     DECIDE_PIXELS,
@@ -16,6 +16,7 @@ from irpmd_rig.core.quality.order import (
 )
 from irpmd_rig.core.quality.report import FindingKind, FrameFinding
 from irpmd_rig.core.quality.sampling import Sample
+from irpmd_rig.core.quality.sets import fit_sets
 from irpmd_rig.core.quality.small import SmallLimits, find_small
 
 Floats = NDArray[np.float64]

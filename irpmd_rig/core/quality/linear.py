@@ -16,7 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.quality.model import SetFits, common_coordinate, fit_sets
+from irpmd_rig.core.quality.model import common_coordinate
+from irpmd_rig.core.quality.sets import SetFits, fit_sets
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

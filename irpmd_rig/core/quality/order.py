@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from irpmd_rig.core.quality.model import Misfit, misfit
+from irpmd_rig.core.quality.sets import OneSet, fit_one
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -120,6 +121,7 @@ class Court:
         self._tile = tile
         self._counts = counts
         self._floor = floor_dn2
+        self._fitted: dict[tuple[int, ...], OneSet] = {}
 
     @property
     def steps(self) -> int:
@@ -132,7 +134,17 @@ class Court:
         values = self._values[:, ::step]
         present = (hypothesis.source >= 0).reshape(self._shape)
         moved = values[np.maximum(hypothesis.source, 0)].reshape(*self._shape, -1)
-        return misfit(moved, present, self._counts, between=self._shape[0] > 1), self._tile[::step]
+        known = {k: self._fit(step, moved[k], hypothesis.source, k) for k in np.flatnonzero(present.sum(axis=1) >= 3)}
+        between = self._shape[0] > 1
+        return misfit(moved, present, self._counts, between=between, known=known), self._tile[::step]
+
+    def _fit(self, step: int, values: Floats, source: Integers, k: int) -> OneSet:
+        """Fit a set, or remember: most hypotheses leave most sets as others do."""
+        own = source[k * self.steps : (k + 1) * self.steps]
+        key = (step, *own.tolist())
+        if key not in self._fitted:
+            self._fitted[key] = fit_one(values, tuple(np.flatnonzero(own >= 0).tolist()))
+        return self._fitted[key]
 
     def score(self, hypothesis: Hypothesis, pixels: int) -> float:
         """Trimmed misfit variance, never below what rounding costs; infinite if it cannot be judged."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core.quality.linear import Equations, Pattern, SmallKind, State, linearise, normal_equations
-from irpmd_rig.core.quality.model import fit_sets
 from irpmd_rig.core.quality.order import sure
+from irpmd_rig.core.quality.sets import fit_sets
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from irpmd_rig.core.errors import FramesError
 
@@ -84,9 +84,17 @@ def smooth_reference(phase_rad: NDArray[np.floating], *, region: NDArray[np.bool
     residual = np.where(inside, residual, np.nan)
     smooth = np.full((height, width), np.nan)
     # Holes of dust size are bridged; the surface is not carried beyond the mirror's edge.
-    bridged = ndimage.binary_closing(known[window], iterations=_HOLE_PX) | known[window]
+    bridged = _closed(known[window])
     smooth[window] = np.where(bridged, surface, np.nan)
     return SmoothPhase(smooth, float(np.sqrt(np.nanmean(residual**2))), _coherent(residual))
+
+
+def _closed(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    side = 2 * _HOLE_PX + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    padded = np.pad(known.astype(np.uint8), side)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[side:-side, side:-side]
+    return np.asarray(closed, dtype=np.bool_) | known
 
 
 def _fit(
