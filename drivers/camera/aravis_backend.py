@@ -47,6 +47,7 @@ class AravisBackend:
         self._stream: int | None = None
         self._turns = 0
         self._last_id = 0
+        self._lost_before = 0
         self.nodes: Nodes
 
     def open(self) -> None:
@@ -67,10 +68,15 @@ class AravisBackend:
         if not camera:
             raise self._absent("no answer")
         self._camera = camera
+        if not self._library.arv_gv_device_is_controller(camera):
+            raise self._absent("another program controls it, or one that was killed did a moment ago")
         self._library.arv_device_set_range_check_policy(camera, _CHECK)
         self._library.arv_device_set_access_check_policy(camera, _CHECK)
         self.nodes = AravisNodes(self._library, camera)
         self._check_identity()
+        with suppress(NodeFailed, NodeRefused):
+            # A client that was killed leaves its camera streaming.
+            self.nodes.execute("AcquisitionStop")
 
     def identity(self) -> tuple[str, str, str]:
         """Nothing is listed: the nodes tell."""
@@ -87,6 +93,8 @@ class AravisBackend:
         self._library.set_number(stream, "packet-resend", int(self._settings.resend))
         for _ in range(self._settings.buffers):
             self._library.arv_stream_push_buffer(stream, self._library.arv_buffer_new(payload_bytes, None))
+        self._lost_before = 0
+        self._lost_before = self.lost()
         try:
             self.nodes.execute("AcquisitionStart")
         except (NodeFailed, NodeRefused):
@@ -130,7 +138,7 @@ class AravisBackend:
             return 0
         complete, failed, no_buffer = c_uint64(), c_uint64(), c_uint64()
         self._library.arv_stream_get_statistics(self._stream, byref(complete), byref(failed), byref(no_buffer))
-        return no_buffer.value
+        return no_buffer.value - self._lost_before
 
     def xml(self) -> bytes | None:
         """Return the camera's description file."""

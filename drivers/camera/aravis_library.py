@@ -21,6 +21,7 @@ class _Error(ctypes.Structure):
 _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_disable_interface": (None, (c_char_p,), False),
     "arv_open_device": (c_void_p, (c_char_p,), True),
+    "arv_gv_device_is_controller": (c_bool, (c_void_p,), False),
     "arv_device_set_range_check_policy": (None, (c_void_p, c_int), False),
     "arv_device_set_access_check_policy": (None, (c_void_p, c_int), False),
     "arv_device_get_genicam_xml": (c_void_p, (c_void_p, POINTER(c_size_t)), False),

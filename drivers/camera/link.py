@@ -170,7 +170,7 @@ class Link:
 
     def _take(self, message: Message) -> None:
         if "reply" in message:
-            if self._channel.descriptors and "result" in message:
+            if "ring" in message:
                 self._map_ring(message["result"])
             with self._state:
                 # Nobody waits for the answer any more where its number is not there.

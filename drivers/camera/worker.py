@@ -117,7 +117,7 @@ class Worker:
         try:
             reply["result"] = self._operations[str(message.get("do"))](message)
             if message.get("do") == "arm" and self._ring is not None:
-                descriptor = self._ring.descriptor
+                descriptor, reply["ring"] = self._ring.descriptor, True
         except InstrumentError as error:
             reply["error"] = error_message(error)
         except (NodeFailed, NodeRefused) as error:

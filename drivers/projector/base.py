@@ -2,7 +2,7 @@
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Protocol
 
@@ -23,6 +23,18 @@ from drivers.values import (
 )
 
 CLOSE_LIMIT_S = 5.0
+
+
+def try_each(*calls: Callable[[], None]) -> None:
+    """Make each call, whatever became of the ones before it; then raise the first error, if there was one."""
+    errors: list[InstrumentError] = []
+    for call in calls:
+        try:
+            call()
+        except InstrumentError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
 
 
 class Talking(Protocol):
@@ -397,9 +409,12 @@ class PatternProjector(ABC):
             self._light, self._darkened = None, bool(self.capabilities().leds)
             self._next = 0
             self._now(ProjectorCondition.DARK, None)
-            if self._reached:
-                with suppress(InstrumentError):
-                    self._light_off()
+            reached = self._reached
+            # Also where the box seems out of reach: its light may still be on, and a way back be found.
+            with suppress(InstrumentError):
+                self._light_off()
+            if not reached:
+                self._release()
 
     def _forget(self, condition: ProjectorCondition) -> None:
         self._sequence, self._next, self._light = None, 0, None
@@ -433,4 +448,5 @@ class PatternProjector(ABC):
             raise Refused(self._name, "a sequence is running", "wait for its end, or stop it")
 
     def _runs(self) -> bool:
-        return self._read_status().condition is ProjectorCondition.RUNNING
+        with self._talking():
+            return self._read_status().condition is ProjectorCondition.RUNNING

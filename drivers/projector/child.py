@@ -37,7 +37,7 @@ class Child:
     """One process, started as a module of this package, that answers calls one after the other.
 
     It has a session of its own and ends when this end of its socket is closed, so that it never outlives
-    the driver's process.
+    the driver's process; what its libraries complain about goes where this process's complaints go.
 
     Parameters
     ----------
@@ -59,7 +59,6 @@ class Child:
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
                 start_new_session=True,
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [HERE, os.environ.get("PYTHONPATH")]))},
             )

@@ -1,14 +1,15 @@
 """The driver of TI's DLPC350 (LightCrafter 4500), by its public protocol (programmer's guide DLPU010)."""
 
+import time
 from contextlib import nullcontext
 from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from drivers.errors import DeviceFault, InstrumentError, Refused, Unsupported
-from drivers.projector.base import PatternProjector, PatternSource, Talking
+from drivers.errors import DeviceFault, Refused, Unsupported
+from drivers.projector.base import PatternProjector, PatternSource, Talking, try_each
 from drivers.projector.dlpc350_controller import (
     FLASH_IMAGES,
     IMAGE_BITS,
@@ -43,6 +44,7 @@ FULL_CURRENT = 255
 # Shortest exposure for 1 to 8 bits, in microseconds, and the gap of a period that is longer than its exposure.
 SHORTEST_US = (235, 700, 1570, 1700, 2000, 2500, 4500, 8333)
 GAP_US = 230
+WAKES_WITHIN_S = 2.0
 # The trigger outputs' delay is counted in steps from a middle.
 DELAY_STEP_US, NO_DELAY, LATEST = 0.1072, 0xBB, 0xD5
 
@@ -72,6 +74,12 @@ class Dlpc350Settings(Settings):
     serial_number: str | None = None
     timeout_s: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
     video: ScreenSettings | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> "Dlpc350Settings":
+        if self.video is not None and self.video.size_px != SIZE_PX:
+            raise ValueError(f"the `size_px` of its video is {SIZE_PX}")
+        return self
 
 
 class FlashPatterns:
@@ -225,13 +233,15 @@ class Dlpc350(PatternProjector):
         self._controller.open()
         self._controller.write(LED_ENABLE, b"\0")
         self._controller.stop()
-        self._controller.write(POWER, b"\0")
+        if self._controller.ask(POWER)[0] & 1:
+            self._controller.write(POWER, b"\0")
+            time.sleep(WAKES_WITHIN_S)
         self._controller.write(PARK, b"\0")
         polarity = self._controller.ask(LED_POLARITY)[0] & 1
         self._inverted = self._settings.led_driver_inverts != bool(polarity)
-        if self._screen and self._settings.video:
+        if self._screen:
             self._screen.open()
-            Programme(self._name, self._controller, nullcontext).from_video(int(1e6 / self._settings.video.refresh_hz))
+            self._take_video()
         else:
             self._flash.begin()
 
@@ -241,17 +251,7 @@ class Dlpc350(PatternProjector):
             self._screen.close()
 
     def _light_off(self) -> None:
-        # Each is tried, whatever became of the others; the LEDs first.
-        errors: list[InstrumentError] = []
-        for call in (self._controller.recover, self._leds_off, self._source.dark):
-            if not self._controller.link.is_open:
-                break
-            try:
-                call()
-            except InstrumentError as error:
-                errors.append(error)
-        if errors:
-            raise errors[-1]
+        try_each(self._controller.recover, self._leds_off, self._source.dark)
 
     def _set_light(self, led: Led, intensity: float) -> None:
         if led not in LED_BITS:
@@ -278,16 +278,19 @@ class Dlpc350(PatternProjector):
             raise Refused(self._name, f"a delay of {sync.delay_us:g} us", f"give {earliest:.2f} to {latest:.2f} us")
         inverted = int(sync.polarity == "negative")
         with self._talking():
-            if self._screen is None:
-                self._controller.stop()
+            self._controller.stop()
             if sync.output == 1:
                 self._controller.write(TRIGGER_OUT_1, bytes([inverted, steps, NO_DELAY]))
             else:
                 self._controller.write(TRIGGER_OUT_2, bytes([inverted, steps]))
+            self._take_video()
 
     def _set_parked(self, *, parked: bool) -> None:
         with self._talking():
+            self._controller.stop()
             self._controller.write(PARK, bytes([parked]))
+            if not parked:
+                self._take_video()
 
     def _check_health(self) -> None:
         with self._talking():
@@ -313,6 +316,12 @@ class Dlpc350(PatternProjector):
             None,
             faults,
         )
+
+    def _take_video(self) -> None:
+        """Show the video input, where patterns come from there."""
+        video = self._settings.video
+        if video is not None:
+            Programme(self._name, self._controller, nullcontext).from_video(int(1e6 / video.refresh_hz))
 
     def _leds_off(self) -> None:
         self._controller.write(LED_ENABLE, b"\0")

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import ClassVar
 
-from drivers.errors import DeviceFault, InstrumentError, Refused
-from drivers.projector.base import PatternProjector, PatternSource
+from drivers.errors import DeviceFault, Refused
+from drivers.projector.base import PatternProjector, PatternSource, try_each
 from drivers.projector.lightcommander_settings import LightCommanderSettings
 from drivers.projector.pattern_memory import LIMIT, PatternMemory
 from drivers.projector.screen import Screen
@@ -46,6 +46,7 @@ class LightCommander(PatternProjector):
 
     def __init__(self, name: str, settings: LightCommanderSettings) -> None:
         super().__init__(name)
+        self._firmware = "not asked yet"
         self._transport, self._title = make_transport(name, settings)
         self._memory: PatternMemory | None = None
         self._screen: Screen | None = None
@@ -62,7 +63,7 @@ class LightCommander(PatternProjector):
     def capabilities(self) -> ProjectorCapabilities:
         """Tell what the projector can do."""
         return ProjectorCapabilities(
-            model=f"DLP LightCommander over {self._title}",
+            model=f"DLP LightCommander (firmware {self._firmware}) over {self._title}",
             size_px=self._source.size_px,
             leds=tuple(Led),
             pattern_limit=None if self._screen else LIMIT,
@@ -88,6 +89,7 @@ class LightCommander(PatternProjector):
             self._memory.forget()
         self._transport.open()
         self._command("DLP_Status_CommunicationStatus")
+        self._firmware = str(self._command("DLP_Status_GetMCUversionString"))
         self._light_off()
         self._command("DLP_Display_UnparkDMD")
         self._command("DLP_Source_SetDataSource", source=SOURCE_DVI if self._screen else SOURCE_SL_AUTO)
@@ -100,28 +102,28 @@ class LightCommander(PatternProjector):
             self._screen.close()
 
     def _light_off(self) -> None:
-        # The driver first: it is one call for all LEDs. Each call is tried, whatever became of the others.
-        errors: list[InstrumentError] = []
-        try:
-            self._transport.recover()
-        except InstrumentError as error:
-            errors.append(error)
-        calls: list[tuple[str, dict[str, Value]]] = [("DLP_LED_LEDdriverEnable", {"on": 0})]
-        calls += [("DLP_LED_SetLEDEnable", {"led": number, "on": 0}) for number in LED_NUMBERS.values()]
-        for operation, values in (*calls, ("DLP_Display_DisplayStop", {})):
-            if not self._transport.is_open:
-                break
-            try:
-                self._command(operation, **values)
-            except InstrumentError as error:
-                errors.append(error)
-        if errors:
-            raise errors[-1]
+        # One call turns all LEDs off; only a box that took it is told about each of them.
+        try_each(self._transport.recover, self._led_driver_off, self._display_off)
+        for number in LED_NUMBERS.values():
+            self._command("DLP_LED_SetLEDEnable", led=number, on=0)
+
+    def _led_driver_off(self) -> None:
+        self._command("DLP_LED_LEDdriverEnable", on=0)
+
+    def _display_off(self) -> None:
+        if self._screen is None or not self._screen.is_open:
+            self._command("DLP_Display_DisplayStop")
+        else:
+            self._screen.dark()
 
     def _set_light(self, led: Led, intensity: float) -> None:
-        changed = bool(self._memory and self._memory.light(led))
-        if changed:
-            self._refuse_while_running()
+        if self._memory and intensity > 0.0:
+            if not self._memory.lights(led):
+                # It would take another sequence.
+                self._refuse_while_running()
+            changed = self._memory.light(led)
+        else:
+            changed = False
         for other, number in LED_NUMBERS.items():
             if other is not led or intensity == 0.0:
                 self._ask("DLP_LED_SetLEDEnable", led=number, on=0)

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from drivers.projector.bitplanes import COLUMNS, ROWS
 from drivers.projector.screen import ScreenSettings
 from drivers.settings import Settings
 
@@ -52,6 +53,8 @@ class LightCommanderSettings(Settings):
             raise ValueError("the transport 'ti_library', and only that, needs a `library`")
         if self.transport == "ti_library" and (self.backend or self.serial_number):
             raise ValueError("`backend` and `serial_number` belong to the transport 'usb'")
+        if self.video is not None and self.video.size_px != (COLUMNS, ROWS):
+            raise ValueError(f"the `size_px` of its video is ({COLUMNS}, {ROWS})")
         if (self.video is None) != bool(self.sequences):
             raise ValueError("give either `sequences` (patterns in the box's memory) or `video`")
         return self

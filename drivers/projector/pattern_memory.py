@@ -100,6 +100,10 @@ class PatternMemory:
         self._write_order(sequence.order)
         return PatternSequence(sequence.order, found.exposure_us, found.period_us, sequence.bits)
 
+    def lights(self, led: Led) -> bool:
+        """Whether the sequence that was ordered lights this LED."""
+        return self._wanted is None or led in self._wanted.leds
+
     def light(self, led: Led) -> bool:
         """Choose the sequence that lights this LED with the times that were ordered; whether that is another.
 
@@ -164,7 +168,7 @@ class PatternMemory:
     def _any_sequence(self) -> SequenceFile:
         """Return a sequence to show single patterns by, before any order was set."""
         for found in self._sequences:
-            if found.bits == self._bits and self._lights(found):
+            if found.bits == self._bits and self._led in (None, *found.leds):
                 return found
         light = f" in {self._led}" if self._led else ""
         raise Refused(
@@ -229,7 +233,7 @@ class PatternMemory:
             file
             for file in self._sequences
             if file.bits == sequence.bits
-            and self._lights(file)
+            and self._led in (None, *file.leds)
             and _near(file.exposure_us, sequence.exposure_us)
             and (sequence.period_us is None or _near(file.period_us, sequence.period_us))
             and 1e6 / file.period_us <= limit_hz * (1 + 1e-6)
@@ -246,9 +250,6 @@ class PatternMemory:
                 f"compile one with TI's sequence compiler, or use what there is: {have}",
             )
         return min(found, key=lambda file: file.period_us)
-
-    def _lights(self, file: SequenceFile) -> bool:
-        return self._led is None or self._led in file.leds
 
 
 def _near(value: float, wanted: float) -> bool:

@@ -17,8 +17,8 @@ from drivers.settings import Settings
 from drivers.values import PatternSequence
 
 CALL_LIMIT_S = 5.0
-# 100 MB of patterns go through a socket.
-LOAD_LIMIT_S = 20.0
+# More for each pattern that goes through the socket.
+LOAD_LIMIT_S = 0.05
 BITS = 8
 
 Pixels = Annotated[int, Field(ge=1, le=16384)]
@@ -117,8 +117,9 @@ class Screen:
     def load(self, patterns: NDArray[np.uint8]) -> None:
         """Hand the patterns to the window's process."""
         self._count, self._order = 0, ()
+        limit_s = CALL_LIMIT_S + LOAD_LIMIT_S * len(patterns)
         with self._talking():
-            self._called().call("load", patterns.tobytes(), timeout_s=LOAD_LIMIT_S, count=len(patterns))
+            self._called().call("load", patterns.tobytes(), timeout_s=limit_s, count=len(patterns))
         self._count = len(patterns)
 
     def order(self, sequence: PatternSequence) -> PatternSequence:

@@ -1,5 +1,6 @@
 """The process that owns the window: `python -m drivers.projector.screen_process SOCKET OPTIONS`."""
 
+import ctypes
 import json
 import os
 import select
@@ -7,6 +8,7 @@ import signal
 import socket
 import sys
 import time
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +17,10 @@ from numpy.typing import NDArray
 
 from drivers.projector.messages import receive, send
 
-os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
-
 # How often events are looked at while nothing else happens.
 LOOK_ROUND_S = 0.02
-# SDL's number of a display goes into a window's place like this (SDL_WINDOWPOS_CENTERED_DISPLAY).
-CENTRED_ON_DISPLAY = 0x2FFF0000
 # Drivers of SDL that show nothing to anyone.
-INVISIBLE = ("dummy", "offscreen", "evdev")
+INVISIBLE = (b"dummy", b"offscreen", b"evdev")
 GREY = np.arange(256, dtype=np.uint32) * 0x010101
 
 
@@ -42,61 +40,76 @@ class Window:
     def __init__(self, options: dict[str, Any]) -> None:
         if options["x_display"] is not None:
             os.environ |= {"DISPLAY": options["x_display"], "SDL_VIDEODRIVER": "x11"}
-        # Imported here: SDL reads the environment when it is loaded.
-        import pygame
-
-        self._pygame = pygame
         try:
-            pygame.display.init()
-        except pygame.error as error:
-            raise ScreenError("NotConnected", f"no display: {error}", "name one that runs, and its X server") from None
-        if pygame.display.get_driver() in INVISIBLE:
+            # Imported here: SDL reads the environment when it is loaded.
+            with warnings.catch_warnings(action="ignore"):
+                import sdl2  # type: ignore[import-untyped]
+        except ImportError as error:
+            what = f"there is no SDL: {error}"
+            raise ScreenError("ConfigurationError", what, "install PySDL2 and pysdl2-dll") from None
+        self._sdl = sdl2
+        if sdl2.SDL_Init(sdl2.SDL_INIT_VIDEO):
+            raise ScreenError("NotConnected", f"no display: {self._error()}", "name one that runs, and its X server")
+        if sdl2.SDL_GetCurrentVideoDriver() in INVISIBLE:
             raise ScreenError("NotConnected", "there is no display that anyone sees", "run it in a graphical session")
         self._size: tuple[int, int] = tuple(options["size_px"])
         self._window = self._place(int(options["display"]), options["corner_px"])
-        pygame.mouse.set_visible(False)
-        pygame.display.set_allow_screensaver(False)
-        self._surface = self._window.get_surface()
-        if self._surface.get_bitsize() != 32 or self._surface.get_masks()[:3] != (0xFF0000, 0xFF00, 0xFF):
-            raise ScreenError("ConfigurationError", "the display has no 8 bits a colour", "set its depth to 24 bits")
+        sdl2.SDL_ShowCursor(sdl2.SDL_DISABLE)
+        sdl2.SDL_DisableScreenSaver()
+        self._event = sdl2.SDL_Event()
         self.draw(None)
 
     def _place(self, display: int, corner: list[int] | None) -> Any:
-        pygame, size = self._pygame, self._size
-        sizes = pygame.display.get_desktop_sizes()
-        if display >= len(sizes):
-            raise ScreenError("NotConnected", f"there is no display {display}", f"give 0 to {len(sizes) - 1}")
-        room, at = sizes[display], corner or [0, 0]
-        if (room != size) if corner is None else (at[0] + size[0] > room[0] or at[1] + size[1] > room[1]):
+        sdl2, (width, height) = self._sdl, self._size
+        count, room = sdl2.SDL_GetNumVideoDisplays(), sdl2.SDL_Rect()
+        if display >= count or sdl2.SDL_GetDisplayBounds(display, room):
+            raise ScreenError("NotConnected", f"there is no display {display}", f"give 0 to {count - 1}")
+        left, top = corner or (0, 0)
+        exact, fits = (room.w, room.h) == self._size, left + width <= room.w and top + height <= room.h
+        if not (exact if corner is None else fits):
             raise ScreenError(
                 "ConfigurationError",
-                f"display {display} has {room[0]} x {room[1]} pixels, the patterns {size[0]} x {size[1]} at {at}",
+                f"display {display} has {room.w} x {room.h} pixels, the patterns {width} x {height} at ({left}, {top})",
                 "set the display's mode to the size of the projector, or `corner_px`",
             )
-        where: Any = CENTRED_ON_DISPLAY | display
-        window = pygame.Window("projector", size, where, borderless=True, always_on_top=True)
-        # It stands in the middle of its display: from there to the display's corner, and on to the place asked for.
-        left, top = window.position
-        window.position = (left - (room[0] - size[0]) // 2 + at[0], top - (room[1] - size[1]) // 2 + at[1])
+        flags = sdl2.SDL_WINDOW_BORDERLESS | sdl2.SDL_WINDOW_ALWAYS_ON_TOP | sdl2.SDL_WINDOW_SKIP_TASKBAR
+        window = sdl2.SDL_CreateWindow(b"projector", room.x + left, room.y + top, width, height, flags)
+        if not window:
+            raise ScreenError("NotConnected", f"no window: {self._error()}", "look at the display's settings")
+        if sdl2.SDL_GetWindowDisplayIndex(window) != display:
+            what = f"display {display} cannot be told from another one"
+            raise ScreenError("ConfigurationError", what, "let both displays belong to one X screen, side by side")
         return window
 
     def draw(self, image: NDArray[np.uint8] | None) -> None:
         """Show an image, or black."""
-        width, height = self._size
+        sdl2, (width, height) = self._sdl, self._size
+        # Asked for anew: it changes with the window.
+        surface = sdl2.SDL_GetWindowSurface(self._window).contents
+        if surface.format.contents.BitsPerPixel != 32 or (surface.w, surface.h) != self._size:
+            what = "the window has another size, or other pixels, than it was given"
+            raise ScreenError("DeviceFault", what, "set the display to 24 bits, and let no window manager resize it")
+        words = ctypes.cast(surface.pixels, ctypes.POINTER(ctypes.c_uint32))
+        pixels = np.ctypeslib.as_array(words, (height, surface.pitch // 4))[:, :width]
         if image is None:
-            self._surface.fill(0)
+            pixels[:] = 0
         else:
-            pixels = np.frombuffer(self._surface.get_buffer(), np.uint32).reshape(height, -1)
-            np.take(GREY, image, out=pixels[:, :width])
-            del pixels
-        self._window.flip()
+            pixels[:] = GREY[image]
+        self._flip()
 
     def attend(self) -> None:
         """Answer the window system; draw again what was covered."""
-        pygame = self._pygame
-        for event in pygame.event.get():
-            if event.type in (pygame.WINDOWEXPOSED, pygame.WINDOWSHOWN, pygame.WINDOWRESTORED):
-                self._window.flip()
+        sdl2 = self._sdl
+        while sdl2.SDL_PollEvent(self._event):
+            if self._event.type == sdl2.SDL_WINDOWEVENT and self._event.window.event == sdl2.SDL_WINDOWEVENT_EXPOSED:
+                self._flip()
+
+    def _flip(self) -> None:
+        if self._sdl.SDL_UpdateWindowSurface(self._window):
+            raise ScreenError("DeviceFault", f"the window cannot be drawn: {self._error()}", "look at the display")
+
+    def _error(self) -> str:
+        return str(self._sdl.SDL_GetError().decode("utf-8", "replace"))
 
 
 @dataclass(slots=True)
@@ -177,17 +190,26 @@ def serve(connection: socket.socket, options: dict[str, Any]) -> None:
     try:
         window = Window(options)
     except ScreenError as error:
-        kind, what, remedy = error.args
-        send(connection, {"error": kind, "what": what, "remedy": remedy})
+        send(connection, _told(error))
         return
     player = Player(window, tuple(options["size_px"]))
     send(connection, {})
     while True:
         wait_s = min(LOOK_ROUND_S, max(0.0, player.due_in_s()))
         if select.select([connection], [], [], wait_s)[0]:
-            send(connection, player.obey(*receive(connection)))
+            head, data = receive(connection)
+            try:
+                answer = player.obey(head, data)
+            except ScreenError as error:
+                answer = _told(error)
+            send(connection, answer)
         player.tick()
         window.attend()
+
+
+def _told(error: ScreenError) -> dict[str, Any]:
+    kind, what, remedy = error.args
+    return {"error": kind, "what": what, "remedy": remedy}
 
 
 def main() -> None:

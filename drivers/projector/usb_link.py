@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import importlib
-import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +48,7 @@ class UsbBackend:
 
 
 class UsbLink:
-    """The line to one device; used by one thread at a time, but for `close`.
+    """The line to one device; used by one thread at a time.
 
     Parameters
     ----------
@@ -71,7 +70,6 @@ class UsbLink:
         self._backend: Any = None
         self._usb: Any = None
         self._detached = False
-        self._closing = threading.Lock()
 
     @property
     def is_open(self) -> bool:
@@ -95,22 +93,26 @@ class UsbLink:
         except usb.core.USBError as error:
             self.close()
             raise self._not_connected(error) from None
+        except ValueError:
+            # What pyusb raises where it may not read the serial number.
+            self.close()
+            raise NotConnected(self._device, "the USB device's serial number cannot be read", _UDEV) from None
         except InstrumentError:
             self.close()
             raise
 
     def close(self) -> None:
         """Give the device back; never raises, may be repeated."""
-        with self._closing:
-            found, self._usb = self._usb, None
-            backend, self._backend = self._backend, None
+        found, self._usb = self._usb, None
+        backend, self._backend = self._backend, None
         if found is not None:
             with contextlib.suppress(usb.core.USBError):
                 usb.util.release_interface(found, self._address.interface)
             if self._detached:
                 with contextlib.suppress(usb.core.USBError, NotImplementedError):
                     found.attach_kernel_driver(self._address.interface)
-            usb.util.dispose_resources(found)
+            with contextlib.suppress(usb.core.USBError):
+                usb.util.dispose_resources(found)
         self._detached = False
         if backend is not None:
             backend.finalize()

@@ -12,7 +12,7 @@ from irpmd_rig.core.quality import check_frames
 
 PAPER = (64, 63, 56)
 COARSE_TO_FINE = (0.9, 3.9, 15.9, 63.9)
-SHAPE = (160, 480)
+SHAPE = (100, 400)
 
 
 def coordinate(shape, surface="smooth", low=0.06, high=0.94):

@@ -134,7 +134,8 @@ class Court:
         values = self._values[:, ::step]
         present = (hypothesis.source >= 0).reshape(self._shape)
         moved = values[np.maximum(hypothesis.source, 0)].reshape(*self._shape, -1)
-        known = {k: self._fit(step, moved[k], hypothesis.source, k) for k in np.flatnonzero(present.sum(axis=1) >= 3)}
+        usable = np.flatnonzero(present.sum(axis=1) >= 3).tolist()
+        known = {k: self._fit(step, moved[k], hypothesis.source, k) for k in usable}
         between = self._shape[0] > 1
         return misfit(moved, present, self._counts, between=between, known=known), self._tile[::step]
 

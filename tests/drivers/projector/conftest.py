@@ -56,9 +56,7 @@ def light_box(bus: UsbBus, clock: Clock) -> Iterator[lightcommander.LightCommand
 
 
 @pytest.fixture
-def light_on(
-    bus: UsbBus, compiled: Callable[..., str]
-) -> Iterator[Callable[..., LightCommander]]:
+def light_on(bus: UsbBus, compiled: Callable[..., str]) -> Iterator[Callable[..., LightCommander]]:
     made: list[LightCommander] = []
 
     def build(*sequences: str, opened: bool = True, **settings: Any) -> LightCommander:

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ CHANNELS = (1, 0, 2)
 def lit(flash_box: Box, flash_on: On) -> Dlpc350:
     driver = flash_on()
     driver.set_led(Led.GREEN, 0.5)
+    assert flash_box.showing().led == "green"
     return driver
 
 
@@ -82,10 +84,11 @@ def test_two_images_repeated(flash_box: Box, lit: Dlpc350, flash) -> None:
     edges: list[float] = []
     flash_box.on_sync(edges.append)
     lit.repeat()
-    wait_until(lambda: len(edges) > 4)
+    wait_until(lambda: len(edges) > 5)
+    shown = [flash_box.player.shown_at(edge_s + 0.02).image for edge_s in edges[:5]]
     lit.stop()
-    for edge_s, image in zip(edges[:5], (0, 1, 0, 1, 0), strict=True):
-        assert np.array_equal(flash_box.player.shown_at(edge_s + 0.02).image, flash[image][..., 1])
+    for image, number in zip(shown, (0, 1, 0, 1, 0), strict=True):
+        assert np.array_equal(image, flash[number][..., 1])
 
 
 def test_repeat_goes_on_until_stop(flash_box: Box, lit: Dlpc350) -> None:
@@ -133,7 +136,7 @@ def test_the_intensity_is_capped_and_never_rounded_up(flash_box: Box, lit: Dlpc3
     lit.show(0)
     lit.set_led(Led.RED, 0.6)
     assert flash_box.showing()[1:] == ("red", pytest.approx(153 / 255))
-    with pytest.raises(Refused, match="E0031|intensity"):
+    with pytest.raises(Refused, match="intensity"):
         lit.set_led(Led.RED, 0.601)
     with pytest.raises(Unsupported, match="infrared"):
         lit.set_led(Led.INFRARED, 0.1)
@@ -151,7 +154,8 @@ def test_an_inverting_polarity_register_is_respected(flash_box: Box, flash_on: O
     assert flash_box.showing()[1:] == ("red", pytest.approx(0.2))
 
 
-def test_what_inverts_twice_does_not_invert(flash_box: Box, flash_on: On) -> None:
+@pytest.mark.usefixtures("flash_box")
+def test_what_inverts_twice_does_not_invert(flash_on: On) -> None:
     driver = flash_on(led_driver_inverts=True)
     driver._controller.write(0x1A05, b"\1")
     driver.close()
@@ -202,8 +206,8 @@ def test_stop_during_a_programme_leaves_it_dark(flash_box: Box, lit: Dlpc350) ->
     ended = threading.Event()
 
     def show() -> None:
-        with pytest.raises(Refused, match=r"stopped"):
-            for _ in range(1000):
+        with suppress(Refused):
+            while True:
                 lit.show(0)
         ended.set()
 

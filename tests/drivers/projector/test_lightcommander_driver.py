@@ -27,6 +27,7 @@ def lit(light_box: Box, light_on: On) -> LightCommander:
     driver.load(IMAGES)
     driver.set_led(Led.INFRARED, 0.5)
     driver.order(TWENTY_MS)
+    assert light_box.showing().image is None
     return driver
 
 
@@ -164,7 +165,7 @@ def test_the_sequence_must_light_the_led(light_on: On, light_box: Box, compiled)
 
 @pytest.mark.parametrize("intensity", [0.601, 1.0, -0.1, float("nan"), float("inf")])
 def test_more_than_sixty_per_cent_is_refused(light_box: Box, lit: LightCommander, intensity: float) -> None:
-    with pytest.raises(Refused, match="E0031|LED intensity"):
+    with pytest.raises(Refused, match="LED intensity"):
         lit.set_led(Led.INFRARED, intensity)
     lit.show(0)
     assert light_box.showing().level == 0.5
@@ -181,7 +182,9 @@ def test_one_led_at_a_time_and_zero_is_off(light_box: Box, lit: LightCommander) 
     assert lit.status().led is None
 
 
-def test_only_planes_that_changed_are_sent(light_box: Box, lit: LightCommander, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_planes_that_changed_are_sent(
+    light_box: Box, lit: LightCommander, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sent: list[int] = []
     call = lit._transport.call
 
@@ -201,7 +204,8 @@ def test_only_planes_that_changed_are_sent(light_box: Box, lit: LightCommander, 
     assert np.array_equal(light_box.showing().image, changed[1])
 
 
-def test_the_memory_holds_120_images(light_on: On, light_box: Box) -> None:
+@pytest.mark.usefixtures("light_box")
+def test_the_memory_holds_120_images(light_on: On) -> None:
     driver = light_on()
     with pytest.raises(Refused, match="121 patterns"):
         driver.load(np.zeros((121, 768, 1024), np.uint8))
@@ -252,7 +256,7 @@ def test_stop_ends_a_load_from_another_thread(light_box: Box, lit: LightCommande
     assert np.array_equal(light_box.showing().image, IMAGES[2])
 
 
-def test_a_second_operation_at_the_same_time_is_refused(light_box: Box, lit: LightCommander) -> None:
+def test_a_second_operation_at_the_same_time_is_refused(lit: LightCommander) -> None:
     loading = threading.Thread(target=lit.load, args=(255 - np.repeat(IMAGES, 5, axis=0),))
     loading.start()
     time.sleep(0.05)
@@ -262,7 +266,8 @@ def test_a_second_operation_at_the_same_time_is_refused(light_box: Box, lit: Lig
     loading.join()
 
 
-def test_without_an_order_there_is_no_step(light_on: On, light_box: Box) -> None:
+@pytest.mark.usefixtures("light_box")
+def test_without_an_order_there_is_no_step(light_on: On) -> None:
     driver = light_on()
     driver.load(IMAGES)
     for operation in (driver.step, driver.run_once, driver.repeat):
@@ -270,7 +275,8 @@ def test_without_an_order_there_is_no_step(light_on: On, light_box: Box) -> None
             operation()
 
 
-def test_a_head_that_lies_about_its_words_is_found(light_on: On, light_box: Box, compiled) -> None:
+@pytest.mark.usefixtures("light_box")
+def test_a_head_that_lies_about_its_words_is_found(light_on: On, compiled) -> None:
     path = Path(compiled(20_000, 25_000))
     path.write_text(path.read_text().replace("20000 usec", "10000 usec").replace("0.80000", "0.40000"))
     driver = light_on(str(path))

@@ -153,11 +153,14 @@ def test_other_framings(tmp_path: Path, kind: str, order: str) -> None:
     path.write_text(text)
     profile = load_profile(str(path), device="p")
     frame = encode_request(profile, profile.operations["DLP_LED_LEDdriverEnable"], 7, {"on": 1}).hex(" ")
-    assert frame == {
-        "sum": "a5 07 04 04 01 00 00 00 01 b6 00",
-        "xor": "a5 07 04 04 00 00 00 01 01 00 a2",
-        "none": "a5 07 04 04 01 00 00 00 01",
-    }[kind]
+    assert (
+        frame
+        == {
+            "sum": "a5 07 04 04 01 00 00 00 01 b6 00",
+            "xor": "a5 07 04 04 00 00 00 01 01 00 a2",
+            "none": "a5 07 04 04 01 00 00 00 01",
+        }[kind]
+    )
 
 
 def test_the_profile_of_the_real_box_sends_nothing() -> None:
@@ -259,7 +262,7 @@ def test_the_head_of_a_compiled_sequence() -> None:
     ],
 )
 def test_a_head_that_cannot_be_used(old: str, new: str, what: str) -> None:
-    with pytest.raises(ConfigurationError, match="a.bf cannot be used") as caught:
+    with pytest.raises(ConfigurationError, match=r"a\.bf cannot be used") as caught:
         parse_sequence_text("projector1", Path("a.bf"), HEAD.replace(old, new), infrared_name="IRLED")
     assert what in caught.value.what
 
