@@ -54,6 +54,7 @@ def demo(
 class BenchName(StrEnum):
     """What can be measured."""
 
+    camera = "camera"
     decode = "decode"
     render = "render"
 
@@ -74,6 +75,12 @@ def bench(
     Console().print(table)
 
 
+def _bench_camera() -> list[Row]:
+    from irpmd_rig.bench import camera
+
+    return camera.run()
+
+
 def _bench_decode() -> list[Row]:
     from irpmd_rig.bench import decode
 
@@ -86,7 +93,7 @@ def _bench_render() -> list[Row]:
     return render.run()
 
 
-_BENCHES = {BenchName.decode: _bench_decode, BenchName.render: _bench_render}
+_BENCHES = {BenchName.camera: _bench_camera, BenchName.decode: _bench_decode, BenchName.render: _bench_render}
 
 
 @app.command()

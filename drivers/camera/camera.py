@@ -82,17 +82,17 @@ class WorkerCamera:
             try:
                 self._connect()
             except InstrumentError:
-                self.close_connection()
+                self._disconnect()
                 raise
 
     def close(self) -> None:
         """End the worker; an operation under way in another thread ends, too."""
-        self.close_connection()
+        self._disconnect()
         # One that was connecting meanwhile has ended by now, or is about to: its process must not stay.
         with self._operation:
-            self.close_connection()
+            self._disconnect()
 
-    def close_connection(self) -> None:
+    def _disconnect(self) -> None:
         """End the worker without waiting for operations."""
         with self._state:
             self._is_open = False

@@ -6,8 +6,6 @@ import os
 import socket
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +32,7 @@ _KINDS: dict[str, type[InstrumentError]] = {
 
 
 class Child:
-    """One process, started as a module of this package, that answers calls one after the other.
+    """One process, started as a module of this package, that answers calls; used by one thread at a time.
 
     It has a session of its own and ends when this end of its socket is closed, so that it never outlives
     the driver's process; what its libraries complain about goes where this process's complaints go.
@@ -51,7 +49,6 @@ class Child:
 
     def __init__(self, device: str, module: str, options: dict[str, Any]) -> None:
         self._device = device
-        self._lock = threading.Lock()
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
@@ -64,17 +61,11 @@ class Child:
             )
         self._connection = ours
 
-    @property
-    def alive(self) -> bool:
-        """Whether it can still be called."""
-        return self._process.poll() is None
-
     def greet(self) -> dict[str, Any]:
         """Wait until it has begun, and return what it says of itself; any error ends it."""
         try:
-            with self._lock:
-                self._connection.settimeout(START_LIMIT_S)
-                return self._answer()
+            self._connection.settimeout(START_LIMIT_S)
+            return self._answer("starting")
         except BaseException:
             self.end()
             raise
@@ -91,20 +82,14 @@ class Child:
         InstrumentError
             What it says went wrong.
         """
-        give_up_s = time.monotonic() + timeout_s
-        if not self._lock.acquire(timeout=timeout_s):
-            raise TimedOut(self._device, f"{call} waited {timeout_s:g} s for another call", "try again")
+        self._connection.settimeout(timeout_s)
         try:
-            self._connection.settimeout(max(0.05, give_up_s - time.monotonic()))
-            try:
-                send(self._connection, {"call": call} | values, data)
-            except TimeoutError:
-                raise self._silent(call, timeout_s) from None
-            except OSError:
-                raise self._gone() from None
-            return self._answer(call)
-        finally:
-            self._lock.release()
+            send(self._connection, {"call": call} | values, data)
+        except TimeoutError:
+            raise self._silent(call) from None
+        except OSError:
+            raise self._gone() from None
+        return self._answer(call)
 
     def end(self) -> None:
         """End the process and wait for it; never raises, may be repeated."""
@@ -117,22 +102,22 @@ class Child:
             self._process.wait()
         self._connection.close()
 
-    def _answer(self, call: str = "starting") -> dict[str, Any]:
+    def _answer(self, call: str) -> dict[str, Any]:
         try:
             answer, _ = receive(self._connection)
         except TimeoutError:
-            raise self._silent(call, self._connection.gettimeout() or 0.0) from None
+            raise self._silent(call) from None
         except OSError:
             raise self._gone() from None
         if "error" in answer:
             raise _KINDS[answer["error"]](self._device, answer["what"], answer["remedy"])
         return answer
 
-    def _silent(self, call: str, timeout_s: float) -> TimedOut:
+    def _silent(self, call: str) -> TimedOut:
         # Whatever it is doing, its next answer would be taken for that of the next call.
         self._process.kill()
         self._process.wait()
-        what = f"{call} did not end within {timeout_s:.3g} s"
+        what = f"{call} did not end within {self._connection.gettimeout():.3g} s"
         return TimedOut(self._device, what, "look at the projector, then retry")
 
     def _gone(self) -> DeviceLost:

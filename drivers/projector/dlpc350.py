@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from drivers.errors import DeviceFault, Refused, Unsupported
-from drivers.projector.base import PatternProjector, PatternSource, Talking, try_each
+from drivers.projector.base import PatternProjector
 from drivers.projector.dlpc350_controller import (
     FLASH_IMAGES,
     IMAGE_BITS,
@@ -27,6 +27,7 @@ from drivers.projector.dlpc350_controller import (
     Programme,
 )
 from drivers.projector.screen import Screen, ScreenSettings
+from drivers.projector.source import PatternSource, Talking, try_each
 from drivers.projector.usb_link import UsbBackend
 from drivers.settings import Settings
 from drivers.values import (
@@ -83,7 +84,7 @@ class Dlpc350Settings(Settings):
 
 
 class FlashPatterns:
-    """A `drivers.projector.base.PatternSource`: patterns in the flash of the box.
+    """A `drivers.projector.source.PatternSource`: patterns in the flash of the box.
 
     Parameters
     ----------

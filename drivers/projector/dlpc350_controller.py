@@ -4,7 +4,6 @@ import time
 from contextlib import suppress
 
 from drivers.errors import DeviceFault, GarbledReply, Refused, TimedOut
-from drivers.projector.base import Talking
 from drivers.projector.dlpc350_frames import (
     ENDPOINT_IN,
     ENDPOINT_OUT,
@@ -16,6 +15,7 @@ from drivers.projector.dlpc350_frames import (
     encode,
     pattern_entry,
 )
+from drivers.projector.source import Talking
 from drivers.projector.usb_link import UsbAddress, UsbBackend, UsbLink
 
 POWER, PARK, GAMMA = 0x0200, 0x0609, 0x1A0E

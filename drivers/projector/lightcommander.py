@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import ClassVar
 
 from drivers.errors import DeviceFault, Refused
-from drivers.projector.base import PatternProjector, PatternSource, try_each
+from drivers.projector.base import PatternProjector
 from drivers.projector.lightcommander_settings import LightCommanderSettings
 from drivers.projector.pattern_memory import LIMIT, PatternMemory
 from drivers.projector.screen import Screen
 from drivers.projector.sequence_file import read_sequence_file
+from drivers.projector.source import PatternSource, try_each
 from drivers.projector.ti_api import LED_NUMBERS, SOURCE_DVI, SOURCE_SL_AUTO, Result, Transport, Value
 from drivers.projector.ti_library import LibraryTransport
 from drivers.projector.ti_usb import UsbTransport

@@ -31,7 +31,7 @@ class Box(Protocol):
 
 
 class PatternMemory:
-    """A `drivers.projector.base.PatternSource` in the box's own memory.
+    """A `drivers.projector.source.PatternSource` in the box's own memory.
 
     Only what changed is sent: planes, order and sequence that are in the box stay there.
 

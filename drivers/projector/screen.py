@@ -4,15 +4,15 @@ SDL wants its own event loop, and a display that goes away ends the process that
 """
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from drivers.errors import DeviceLost, NotConnected, Refused, TimedOut
-from drivers.projector.base import Talking
 from drivers.projector.child import Child
+from drivers.projector.source import Talking
 from drivers.settings import Settings
 from drivers.values import PatternSequence
 
@@ -53,7 +53,7 @@ class ScreenSettings(Settings):
 
 
 class Screen:
-    """A `drivers.projector.base.PatternSource` in a window.
+    """A `drivers.projector.source.PatternSource` in a window.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ class Screen:
 
     @property
     def is_open(self) -> bool:
-        """Whether the window's process is there."""
-        return self._child is not None and self._child.alive
+        """Whether the window's process is there, as far as is known."""
+        return self._child is not None
 
     def count(self, bits: int) -> int:  # noqa: ARG002
         """Tell how many patterns are loaded."""
@@ -119,7 +119,7 @@ class Screen:
         self._count, self._order = 0, ()
         limit_s = CALL_LIMIT_S + LOAD_LIMIT_S * len(patterns)
         with self._talking():
-            self._called().call("load", patterns.tobytes(), timeout_s=limit_s, count=len(patterns))
+            self._call("load", patterns.tobytes(), timeout_s=limit_s, count=len(patterns))
         self._count = len(patterns)
 
     def order(self, sequence: PatternSequence) -> PatternSequence:
@@ -149,7 +149,7 @@ class Screen:
     def show(self, index: int) -> None:
         """Show one pattern, and wait for the delay of the display."""
         with self._talking():
-            self._called().call("show", timeout_s=CALL_LIMIT_S, index=index)
+            self._call("show", index=index)
         self._pause(self._settings.display_delay_s)
 
     def show_position(self, position: int) -> None:
@@ -160,20 +160,22 @@ class Screen:
         """Start the order; the window's process keeps the times."""
         lit, whole = (frames / self._settings.refresh_hz for frames in self._frames)
         with self._talking():
-            self._called().call(
-                "run", timeout_s=CALL_LIMIT_S, order=self._order, exposure_s=lit, period_s=whole, repeat=repeat
-            )
+            self._call("run", order=self._order, exposure_s=lit, period_s=whole, repeat=repeat)
 
     def dark(self) -> None:
         """Show black."""
-        self._called().call("dark", timeout_s=CALL_LIMIT_S)
+        self._call("dark")
 
     def running(self) -> bool:
         """Whether a sequence runs."""
-        return bool(self._called().call("status", timeout_s=CALL_LIMIT_S)["running"])
+        return bool(self._call("status")["running"])
 
-    def _called(self) -> Child:
+    def _call(self, call: str, data: bytes = b"", *, timeout_s: float | None = None, **values: Any) -> dict[str, Any]:
         child = self._child
         if child is None:
             raise DeviceLost(self._device, "the window is closed", "open the projector again")
-        return child
+        try:
+            return child.call(call, data, timeout_s=timeout_s or CALL_LIMIT_S, **values)
+        except (DeviceLost, TimedOut):
+            self.close()
+            raise

@@ -52,8 +52,8 @@ class LibraryTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the process is there."""
-        return self._child is not None and self._child.alive
+        """Whether the process is there, as far as is known."""
+        return self._child is not None
 
     def call(self, operation: str, **values: Value) -> Result:
         """Call one function.
@@ -74,7 +74,11 @@ class LibraryTransport:
         for name, kind in OPERATIONS[operation].parameters:
             if kind == "bytes" and isinstance(found := values.pop(name), bytes):
                 data = found
-        answer = child.call(operation, data, timeout_s=self._timeout_s, values=values)
+        try:
+            answer = child.call(operation, data, timeout_s=self._timeout_s, values=values)
+        except (DeviceLost, TimedOut):
+            self.close()
+            raise
         result: Result = answer["result"]
         return result
 

@@ -3,8 +3,9 @@
 from typing import ClassVar
 
 from drivers.errors import Unsupported
-from drivers.projector.base import PatternProjector, PatternSource
+from drivers.projector.base import PatternProjector
 from drivers.projector.screen import Screen, ScreenSettings
+from drivers.projector.source import PatternSource
 from drivers.values import Led, ProjectorCapabilities, ProjectorCondition, ProjectorStatus, SyncOutput
 
 

@@ -32,8 +32,7 @@ def test_the_real_frames_raise_no_alarm(frames):
     assert 0.3 < report.noise_dn < 2
 
 
-@pytest.mark.parametrize("place", [5, 8, 10, 14])
-@pytest.mark.parametrize("share", [0.05, 0.3, 0.79, 1.0])
+@pytest.mark.parametrize(("place", "share"), [(5, 1.0), (8, 0.05), (10, 0.79), (14, 0.05)])
 def test_a_blend_put_into_them_is_found(frames, place, share):
     flat = frames.reshape(16, *frames.shape[2:]).astype(float)
     flat[place] = np.round((1 - share) * flat[place] + share * flat[place - 1])

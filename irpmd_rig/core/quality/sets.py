@@ -21,7 +21,7 @@ class OneSet:
     mean, z
         (pixels,): offset A and B exp(i phase) (DN).
     squares
-        (pixels,): squared residuals after the second (from six steps on also third) harmonic is removed.
+        (pixels,): squared residuals after the second (from five steps on also third) harmonic is removed.
     second
         Second harmonic as a share of the modulation; None if the set is not complete or has three steps.
     aliased
@@ -118,7 +118,7 @@ def fit_one(values: Floats, rows: tuple[int, ...]) -> OneSet:
     if len(rows) > 3:
         maker = np.eye(len(rows)) - matrix @ inverse
         columns = []
-        for order in (2, 3) if steps >= 6 else (2,):
+        for order in (2, 3) if steps >= 5 else (2,):
             wave = maker @ harmonic(z, steps, np.array(rows), order)
             columns += [wave.real, wave.imag]
         rest, shares = regress_out(recorded - matrix @ coefficients, columns)

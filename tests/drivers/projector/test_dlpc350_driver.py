@@ -155,14 +155,25 @@ def test_an_inverting_polarity_register_is_respected(flash_box: Box, flash_on: O
 
 
 @pytest.mark.usefixtures("flash_box")
-def test_what_inverts_twice_does_not_invert(flash_on: On) -> None:
-    driver = flash_on(led_driver_inverts=True)
-    driver._controller.write(0x1A05, b"\1")
+@pytest.mark.parametrize(("board", "register", "current"), [(True, 0, 204), (True, 1, 51), (False, 1, 204)])
+def test_the_board_and_the_register_may_invert(flash_on: On, board: bool, register: int, current: int) -> None:
+    driver = flash_on(led_driver_inverts=board)
+    driver._controller.write(0x1A05, bytes([register]))
     driver.close()
     driver.open()
     driver.set_led(Led.RED, 0.2)
-    # The simulated board does not invert: what it shows is what the current's register says, inverted.
-    assert driver._controller.ask(0x0B01, 3) == bytes([51, 0, 0])
+    none = 0 if current == 51 else 255
+    assert driver._controller.ask(0x0B01, 3) == bytes([current, none, none])
+
+
+def test_it_is_woken_from_standby(flash_box: Box, lit: Dlpc350, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.projector.dlpc350.WAKES_WITHIN_S", 0.01)
+    lit._controller.write(0x0200, b"\1")
+    lit.close()
+    lit.open()
+    lit.set_led(Led.RED, 0.2)
+    lit.show(0)
+    assert flash_box.showing().led == "red"
 
 
 def test_the_trigger_output(flash_box: Box, lit: Dlpc350) -> None:

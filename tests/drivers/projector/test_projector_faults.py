@@ -170,6 +170,23 @@ def test_replies_that_come_too_late_are_thrown_away(pair: Pair) -> None:
         pair.driver.show(1)
 
 
+@pytest.mark.usefixtures("light_box", "flash_box")
+@pytest.mark.parametrize("which", ["light_on", "flash_on"])
+def test_endless_replies_to_something_else(
+    request: pytest.FixtureRequest, which: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = request.getfixturevalue(which)()
+    link = driver._transport._link if which == "light_on" else driver._controller.link
+    stale = {
+        "light_on": bytes.fromhex("5a fe 04 04 00 00 00 00 60 01"),
+        "flash_on": bytes.fromhex("40 fe 00 00") + bytes(60),
+    }[which]
+    monkeypatch.setattr(link, "read", lambda *_: stale)
+    assert "earlier" in fails(driver.status, TimedOut).what
+    monkeypatch.undo()
+    assert driver.status().condition is ProjectorCondition.DARK
+
+
 def test_close_while_it_is_silent_is_bounded_and_quiet(pair: Pair) -> None:
     pair.usb.mute = True
     begun_s = time.monotonic()
