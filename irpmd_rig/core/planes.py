@@ -12,9 +12,11 @@ from irpmd_rig.core.errors import CalibrationError
 FEWEST_PIXELS = 50
 _CLIP_SIGMAS = 4.0
 _CLIP_ROUNDS = 3
-# Side of the blocks whose means show how far neighbouring residuals hang together, px: longer than the ripple
-# that a projector's rounded grey levels leave (16 projector columns, about 30 camera pixels).
-_BLOCK_PX = 48
+# Sides of the blocks whose means show how far neighbouring residuals hang together, px: from the optics' blur to
+# beyond the ripple that a projector's rounded grey levels leave (16 projector columns, about 30 camera pixels).
+_BLOCKS_PX = (4, 8, 16, 32, 48, 96)
+_FEWEST_BLOCKS = 12
+_CHANCE_SIGMAS = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,11 +118,23 @@ def _least_squares(design: NDArray[np.float64], values: NDArray[np.float64]) -> 
 
 
 def _correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], residual: NDArray[np.float64]) -> float:
-    """Factor by which the variance of block means exceeds that of independent residuals (at least 1)."""
-    block = (rows // _BLOCK_PX) * 100_003 + columns // _BLOCK_PX
-    _, member, size = np.unique(block, return_inverse=True, return_counts=True)
-    if size.size < 12:
-        return 1.0
-    means = np.bincount(member, weights=residual) / size
-    full = size >= 0.25 * size.max()
-    return max(1.0, float(np.mean(means[full] ** 2 * size[full]) / np.mean(residual**2)))
+    """Factor by which the variance of block means exceeds that of independent residuals (at least 1).
+
+    The block at which it is largest counts: correlation over a few pixels shows in small blocks, ripple in large
+    ones. An excess that chance explains is none.
+    """
+    variance = float(np.mean(residual**2))
+    factor = 1.0
+    for side in _BLOCKS_PX:
+        block = (rows // side) * 100_003 + columns // side
+        _, member, size = np.unique(block, return_inverse=True, return_counts=True)
+        full = size >= 0.5 * size.max()
+        count = int(full.sum())
+        if count < _FEWEST_BLOCKS or variance == 0:
+            break
+        means = np.bincount(member, weights=residual) / size
+        # The plane has taken three degrees of freedom from the block means.
+        excess = float((means[full] ** 2 * size[full]).sum() / (count - 3) / variance)
+        if excess > 1 + _CHANCE_SIGMAS * np.sqrt(2 / count):
+            factor = max(factor, excess)
+    return factor

@@ -126,9 +126,7 @@ def _truth(rig: SimulatedRig, subject: str, measurement: Measurement, evaluation
     inside = evaluation.labels > 0
     error = (measurement.depth_mm - points[..., 2])[inside]
     planes = [_exact_plane(points[evaluation.labels == k + 1]) for k in range(evaluation.facet_count)]
-    steps = [
-        float((planes[k + 1] - planes[k]) @ (*step.at_mm, 1.0)) for k, step in enumerate(evaluation.steps)
-    ]
+    steps = [float((planes[k + 1] - planes[k]) @ (*step.at_mm, 1.0)) for k, step in enumerate(evaluation.steps)]
     return Truth(
         steps_mm=steps or true_steps_mm(rig.world, subject),
         d_mm=true_d_mm(rig.world),

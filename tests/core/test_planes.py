@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from irpmd_rig.core.errors import CalibrationError
 from irpmd_rig.core.planes import fit_plane
@@ -45,6 +46,18 @@ def test_correlated_residuals_widen_the_covariance():
     narrow = fit_plane(directions, depth + white, mask).covariance[2, 2]
     wide = fit_plane(directions, depth + blocky, mask).covariance[2, 2]
     assert wide > 50 * narrow
+
+
+def test_the_covariance_holds_for_noise_that_the_optics_correlate():
+    directions, mask = view(160), np.ones((160, 160), bool)
+    depth = 1 / (directions @ TRUE_Q)
+    pulls = []
+    for seed in range(30):
+        white = np.random.default_rng(seed).normal(0, 1.0, depth.shape)
+        fit = fit_plane(directions, depth + ndimage.gaussian_filter(white, 1.5), mask)
+        error = fit.q - TRUE_Q
+        pulls.append(error @ np.linalg.inv(fit.covariance) @ error / 3)
+    assert 0.5 < np.mean(pulls) < 2.0
 
 
 def test_outliers_of_either_sign_do_not_pull_the_plane():
