@@ -8,8 +8,8 @@ import numpy as np
 from sims.camera_rays import monotone_reach, undistorted
 from sims.frames import turn
 from sims.objects import Freeform
-from sims.projection import projector_frame
-from sims.surfaces import SUBJECTS, Patch, object_patches
+from sims.projection import lens_numbers, projector_frame, projector_pixel
+from sims.surfaces import SUBJECTS, Patch, object_patches, stage1_axis
 
 if TYPE_CHECKING:
     from sims.world import World
@@ -53,8 +53,11 @@ def _optics(world: "World") -> list[Fault]:
     position, axes = projector_frame(world.projector)
     if _above_glass(world, position) <= 0:
         faults.append((("projector", "position_mm"), "the glass is not between the projector and the mirror"))
-    if (np.array(world.glass.centre_mm) - position) @ axes[2] <= 0:
+    ahead = axes @ (np.array(world.glass.centre_mm) - position)
+    if ahead[2] <= 0:
         faults.append((("projector", "axis"), "the projector looks away from the glass"))
+    elif math.isnan(projector_pixel(lens_numbers(world.projector), *ahead)[0]):
+        faults.append((("projector", "axis"), "the projector does not light the glass's centre"))
     if not _lens_is_invertible(world):
         faults.append((("camera", "kc"), "this distortion folds the image: some pixels have no direction"))
     projector = world.projector
@@ -86,6 +89,14 @@ def _mirror(world: "World") -> list[Fault]:
     corners = np.array([[x, y, 0.0] for x in (x0, x1) for y in (y0, y1)])
     if np.any(_above_glass(world, corners) >= 0):
         return [(("mirror",), "the mirror reaches through the plane of the glass")]
+    return _travel(world, corners, "the mirror")
+
+
+def _travel(world: "World", points: np.ndarray, what: str) -> list[Fault]:
+    stage = world.stage1
+    for end in stage.travel_mm:
+        if np.any(_above_glass(world, points + end * stage1_axis(stage)) >= 0):
+            return [(("stage1", "travel_mm"), f"stage1 drives {what} through the glass at {end} mm")]
     return []
 
 
@@ -98,6 +109,8 @@ def _object(world: "World", name: str) -> list[Fault]:
     tops = np.concatenate([patch.top_vertices() for patch in patches])
     if np.any(_above_glass(world, tops) >= 0):
         faults.append((place, "the object reaches behind the glass (at stage1 = 0)"))
+    else:
+        faults += _travel(world, tops, f"the object '{name}'")
     for number, patch in enumerate(patches):
         if patch.base_mm >= patch.height_range_mm()[0]:
             faults.append(((*place, "base_mm"), f"the base is not below facet {number}"))

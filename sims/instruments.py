@@ -1,18 +1,23 @@
 """What the instruments of the world are: one frozen model each, every number with its unit in its name."""
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+# Wide enough for every rig, narrow enough that no arithmetic with such numbers overflows.
+Positive = Annotated[float, Field(ge=1e-6, le=1e9)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9)]
+Signed = Annotated[float, Field(ge=-1e6, le=1e6)]
+PositiveLength = Annotated[float, Field(ge=1e-6, le=1e6)]
+NonNegativeLength = Annotated[float, Field(ge=0, le=1e6)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
 SmallTilt = Annotated[float, Field(gt=-45, lt=45)]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
-Vector2 = tuple[float, float]
-Vector3 = tuple[float, float, float]
-Brown = tuple[float, float, float, float, float]
+Vector2 = tuple[Signed, Signed]
+Vector3 = tuple[Signed, Signed, Signed]
+Brown = tuple[Signed, Signed, Signed, Signed, Signed]
 
 
 class Part(BaseModel):
@@ -22,8 +27,8 @@ class Part(BaseModel):
 
 
 def _check_axis(axis: Vector3) -> None:
-    length = sum(component**2 for component in axis) ** 0.5
-    if length == 0:
+    length = math.hypot(*axis)
+    if length < 1e-6:
         raise ValueError("the axis has no direction: give a vector that is not zero")
     if abs(axis[0]) / length > 0.999999:
         raise ValueError("the axis is parallel to x, so that a roll of 0 is undefined")
@@ -63,11 +68,15 @@ class Camera(Part):
 class Projector(Part):
     """A camera run backwards, fixed in the world; columns grow with +x at roll 0.
 
-    `tilt_about_x_deg` and `tilt_about_y_deg` turn it about the point `tilt_pivot_mm` in front of the lens on
-    its nominal axis. `distortion` is Brown's model (k1, k2, p1, p2, k3); `warp_*` add a smooth displacement
-    of that amplitude and period that no Brown model describes. The image's words are rounded to `bits`, then
-    shown as light `black_level + (1 - black_level) word^gamma`, blurred by the lens (`lens_blur_px`, rms, in
-    projector pixels).
+    `tilt_about_x_deg` and `tilt_about_y_deg` turn it, lens and frame, about the point `tilt_pivot_mm` in front
+    of the lens on its nominal axis: right-handed, first about the world's x axis through that pivot, then about
+    the world's y axis through it. So with `axis` (0, 0, -1) a positive `tilt_about_y_deg` moves the lens, which
+    is above the pivot, toward +x and turns the forward axis toward -x; a positive `tilt_about_x_deg` moves the
+    lens toward -y and turns the forward axis toward +y.
+
+    `distortion` is Brown's model (k1, k2, p1, p2, k3); `warp_*` add a smooth displacement of that amplitude and
+    period that no Brown model describes. The image's words are rounded to `bits`, then shown as light
+    `black_level + (1 - black_level) word^gamma`, blurred by the lens (`lens_blur_px`, rms, in projector pixels).
     """
 
     position_mm: Vector3
@@ -76,10 +85,10 @@ class Projector(Part):
     mirrored: bool
     tilt_about_x_deg: SmallTilt
     tilt_about_y_deg: SmallTilt
-    tilt_pivot_mm: NonNegative
+    tilt_pivot_mm: NonNegativeLength
     size_px: tuple[Pixels, Pixels]
     pixel_um: Positive
-    focal_mm: Positive
+    focal_mm: PositiveLength
     distortion: Brown
     warp_amplitude_px: NonNegative
     warp_period_px: Positive
@@ -130,10 +139,10 @@ class Glass(Part):
     """
 
     centre_mm: Vector3
-    size_mm: tuple[Positive, Positive]
+    size_mm: tuple[PositiveLength, PositiveLength]
     tilt_about_x_deg: SmallTilt
     tilt_about_y_deg: SmallTilt
-    bow_um: float
+    bow_um: Signed
     transmission: Fraction
     backscatter: Fraction
 
@@ -145,7 +154,7 @@ class Stage1(Part):
     axis_tilt_about_y_deg: SmallTilt
     travel_mm: Vector2
     position_noise_um: NonNegative
-    scale_error_ppm: float
+    scale_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)]
 
     @model_validator(mode="after")
     def _possible(self) -> "Stage1":
@@ -161,8 +170,8 @@ class Stage2(Part):
     those of the axis turn the direction of travel, those of the plate its surface.
     """
 
-    start_mm: Positive
-    travel_mm: Positive
+    start_mm: PositiveLength
+    travel_mm: PositiveLength
     axis_tilt_about_x_deg: SmallTilt
     axis_tilt_about_y_deg: SmallTilt
     plate_tilt_about_x_deg: SmallTilt
@@ -195,7 +204,7 @@ class Mirror(Part):
 class Plate(Part):
     """White plate on stage2, centred on its axis."""
 
-    size_mm: tuple[Positive, Positive]
+    size_mm: tuple[PositiveLength, PositiveLength]
     albedo: Fraction
 
 
@@ -208,12 +217,12 @@ class Board(Part):
     """
 
     squares: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]]
-    square_mm: Positive
-    border_mm: NonNegative
+    square_mm: PositiveLength
+    border_mm: NonNegativeLength
     white_albedo: Fraction
     black_albedo: Fraction
     poses: Annotated[int, Field(ge=1, le=1000)]
-    distance_mm: tuple[Positive, Positive]
+    distance_mm: tuple[PositiveLength, PositiveLength]
     tilt_deg: tuple[Annotated[float, Field(ge=0, lt=80)], Annotated[float, Field(ge=0, lt=80)]]
     turn_deg: tuple[Degrees, Degrees]
     margin_px: NonNegative

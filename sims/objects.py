@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sims.instruments import Fraction, Part, Positive, SmallTilt, Vector2, Vector3
+from sims.instruments import Fraction, Part, PositiveLength, Signed, SmallTilt, Vector2, Vector3
 
 # A facet's outline is a fixed-size record in the tracer.
 MOST_SEGMENTS = 32
@@ -19,12 +19,12 @@ class _Stepped(Part):
     is turned. `base_mm` is the height at which the walls end.
     """
 
-    steps_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=50)]
+    steps_mm: Annotated[tuple[PositiveLength, ...], Field(min_length=1, max_length=50)]
     along: Literal["x", "y"]
     rising: Literal["positive", "negative"]
     centre_mm: Vector3
     tilts_deg: tuple[tuple[SmallTilt, SmallTilt], ...] | None
-    base_mm: float
+    base_mm: Signed
     reflectivity: Fraction
 
     @model_validator(mode="after")
@@ -39,7 +39,7 @@ class MirrorStep(_Stepped):
     """Parallel treads of equal width, side by side along `along`."""
 
     type: Literal["mirror_step"]
-    size_mm: tuple[Positive, Positive]
+    size_mm: tuple[PositiveLength, PositiveLength]
 
 
 class Fan(_Stepped):
@@ -51,9 +51,9 @@ class Fan(_Stepped):
     """
 
     type: Literal["fan"]
-    pivot_distance_mm: Positive
-    inner_radius_mm: Positive
-    outer_radius_mm: Positive
+    pivot_distance_mm: PositiveLength
+    inner_radius_mm: PositiveLength
+    outer_radius_mm: PositiveLength
     opening_deg: Annotated[float, Field(gt=0, lt=180)]
     outer_segments: Annotated[int, Field(ge=1, le=MOST_SEGMENTS)]
 
@@ -72,13 +72,13 @@ class FreeformMirror(Part):
     """
 
     centre_mm: Vector3
-    size_mm: tuple[Positive, Positive]
-    radius_x_mm: float | None
-    radius_y_mm: float | None
+    size_mm: tuple[PositiveLength, PositiveLength]
+    radius_x_mm: Signed | None
+    radius_y_mm: Signed | None
     tilt_about_x_deg: SmallTilt
     tilt_about_y_deg: SmallTilt
-    bump_height_mm: float
-    bump_width_mm: Positive
+    bump_height_mm: Signed
+    bump_width_mm: Annotated[float, Field(ge=1e-3, le=1e6)]
     bump_centre_mm: Vector2
 
     @model_validator(mode="after")
@@ -97,7 +97,7 @@ class Freeform(Part):
 
     type: Literal["freeform"]
     mirrors: Annotated[tuple[FreeformMirror, ...], Field(min_length=1, max_length=20)]
-    base_mm: float
+    base_mm: Signed
     reflectivity: Fraction
 
 

@@ -1,11 +1,13 @@
 """The simulated rig as whoever runs it sees it: put something in place, move, show, take a frame."""
 
 from collections import OrderedDict
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sims.boards import board_pose
 from sims.errors import SimulationError
 from sims.optics import LightMap, Trace, light_map, trace
 from sims.render import exposure, projected_light, render
@@ -30,10 +32,19 @@ class SimulatedRig:
     world : World
     seed : int, optional
         Another seed than the world's: other noise and other board poses, the same instruments.
+
+    Raises
+    ------
+    SimulationError
+        The seed is not a whole number from 0 to 2^63 - 1.
     """
 
     def __init__(self, world: "World", *, seed: int | None = None) -> None:
-        self.world = world if seed is None else world.model_copy(update={"seed": seed})
+        if seed is not None:
+            if not _is_whole(seed) or not 0 <= seed < 2**63:
+                raise SimulationError(f"a seed is a whole number from 0 to 2^63 - 1, not {seed!r}")
+            world = world.model_copy(update={"seed": int(seed)})
+        self.world = world
         self._setup = Setup("mirror")
         self._light = self.world.lights.infrared
         self._exposure_us = self.world.camera.exposure_us
@@ -67,14 +78,18 @@ class SimulatedRig:
         ------
         SimulationError
             The world has no such subject or pose.
+        WorldError
+            The board's ranges leave no room for this pose in the image.
         """
         known = (*SUBJECTS, *self.world.objects)
-        if subject not in known:
+        if not isinstance(subject, str) or subject not in known:
             raise SimulationError(f"there is no subject '{subject}': this world has {', '.join(known)}")
         poses = self.world.board.poses if subject == "board" else 1
-        if not 0 <= pose < poses:
-            raise SimulationError(f"'{subject}' has poses 0 to {poses - 1}, not {pose}")
-        self._change(subject=subject, pose=pose)
+        if not _is_whole(pose) or not 0 <= pose < poses:
+            raise SimulationError(f"'{subject}' has poses 0 to {poses - 1}, not {pose!r}")
+        if subject == "board":
+            board_pose(self.world, int(pose))
+        self._change(subject=subject, pose=int(pose))
 
     def set_glass(self, present: bool) -> None:
         """Put the ground glass in or take it away."""
@@ -124,10 +139,10 @@ class SimulatedRig:
         Raises
         ------
         SimulationError
-            It is not positive and finite.
+            It is not a number above 0 and up to 1e9.
         """
-        if not 0 < exposure_us < np.inf:
-            raise SimulationError(f"an exposure is a positive number of microseconds, not {exposure_us}")
+        if not _is_number(exposure_us) or not 0 < exposure_us <= 1e9:
+            raise SimulationError(f"an exposure is a positive number of microseconds, at most 1e9, not {exposure_us!r}")
         self._exposure_us = float(exposure_us)
 
     def set_bits(self, bits: Literal[8, 10]) -> None:
@@ -138,9 +153,9 @@ class SimulatedRig:
         SimulationError
             It is neither 8 nor 10.
         """
-        if bits not in (8, 10):
-            raise SimulationError(f"the camera has 8 or 10 bits, not {bits}")
-        self._bits = bits
+        if not _is_whole(bits) or bits not in (8, 10):
+            raise SimulationError(f"the camera has 8 or 10 bits, not {bits!r}")
+        self._bits = int(bits)
 
     def set_lamp(self, on: bool) -> None:
         """Turn the flood light on or off."""
@@ -159,6 +174,8 @@ class SimulatedRig:
             It has another shape or type.
         """
         columns, rows = self.world.projector.size_px
+        if image is not None and not isinstance(image, np.ndarray):
+            raise SimulationError(f"the projector shows arrays, not a {type(image).__name__}")
         if image is not None and (image.shape != (rows, columns) or image.dtype != np.uint8):
             raise SimulationError(
                 f"the projector shows uint8 pictures of shape ({rows}, {columns}), "
@@ -204,5 +221,13 @@ class SimulatedRig:
 
 
 def _check_travel(name: str, position_mm: float, low: float, high: float) -> None:
-    if not low <= position_mm <= high:
-        raise SimulationError(f"{name} travels from {low} to {high} mm, not to {position_mm}")
+    if not _is_number(position_mm) or not low <= position_mm <= high:
+        raise SimulationError(f"{name} travels from {low} to {high} mm, not to {position_mm!r}")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)

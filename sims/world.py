@@ -61,7 +61,14 @@ class World(Part):
 
         Focal lengths, principal point and rows scale; the pixel, the blur in pixels and the light on a pixel
         stay.
+
+        Raises
+        ------
+        WorldError
+            The width is not a whole number from 64 to 8192, or a world with such a camera cannot be.
         """
+        if type(width_px) is not int or not 64 <= width_px <= 8192:
+            raise WorldError(f"a camera has 64 to 8192 whole columns, not {width_px!r}")
         camera = self.camera
         scale = width_px / camera.size_px[0]
         smaller = camera.model_copy(
@@ -72,7 +79,11 @@ class World(Part):
             }
         )
         board = self.board.model_copy(update={"margin_px": self.board.margin_px * scale})
-        return self.model_copy(update={"camera": smaller, "board": board})
+        resized = self.model_copy(update={"camera": smaller, "board": board})
+        try:
+            return World.model_validate(resized.model_dump())
+        except ValidationError as error:
+            raise WorldError(f"with {width_px} columns: {error}") from None
 
 
 def load_world(path: str | Path) -> World:
@@ -83,6 +94,8 @@ def load_world(path: str | Path) -> World:
     WorldError
         With every complaint, one a line: `file:line:column: key: what is wrong`.
     """
+    if not isinstance(path, str | Path):
+        raise WorldError(f"a world file is named by a path, not {path!r}")
     source = yaml_source.read(Path(path))
     try:
         return World.model_validate(source.content)

@@ -11,7 +11,9 @@ from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEv
 
 from sims.errors import WorldError
 
-SIZE_LIMIT_BYTES = 1_000_000
+# A world has 7 kB and 800 events; the parser is so slow that many more would hold it up for seconds.
+SIZE_LIMIT_BYTES = 64_000
+EVENT_LIMIT = 5_000
 DEPTH_LIMIT = 20
 Location = tuple[str | int, ...]
 
@@ -79,6 +81,8 @@ def _text(path: Path) -> str:
             raw = file.read(SIZE_LIMIT_BYTES + 1)
     except OSError as error:
         raise WorldError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise WorldError(f"{str(path)!r}: is no path: {error}") from None
     if len(raw) > SIZE_LIMIT_BYTES:
         raise WorldError(f"{path.name}: is larger than {SIZE_LIMIT_BYTES} bytes")
     try:
@@ -89,9 +93,11 @@ def _text(path: Path) -> str:
 
 def _refuse_unsafe(name: str, text: str) -> None:
     depth = documents = 0
-    for event in YAML(typ="rt").parse(text):
+    for number, event in enumerate(YAML(typ="rt").parse(text)):
         mark = event.start_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}"
+        if number >= EVENT_LIMIT:
+            raise WorldError(f"{place}: the file holds too many values")
         if isinstance(event, AliasEvent) or getattr(event, "anchor", None) is not None:
             raise WorldError(f"{place}: anchors and aliases are not accepted: write the value out")
         if getattr(event, "tag", None) is not None:

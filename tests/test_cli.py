@@ -83,3 +83,14 @@ def test_bench_render_prints_one_json_object(tmp_path):
     assert ended.returncode == 0, ended.stderr
     for row in json.loads(ended.stdout)["rows"]:
         assert row["value"] > 0
+
+
+def test_a_negative_seed_is_refused(tmp_path):
+    assert "seed" in refused("demo", "--seed", "-1", folder=tmp_path)
+
+
+def test_a_stage_that_cannot_reach_the_second_position_is_said(tmp_path):
+    text = (WORLDS / "aligned.yaml").read_text(encoding="utf-8")
+    short = tmp_path / "short.yaml"
+    short.write_text(text.replace("travel_mm: [-80.0, 220.0]", "travel_mm: [-80.0, 20.0]"), encoding="utf-8")
+    assert "stage1" in refused("demo", "--world", short, "--size-px", 320, folder=tmp_path)

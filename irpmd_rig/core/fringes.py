@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from irpmd_rig.core.errors import CountsError, FramesError
+from irpmd_rig.core.errors import FramesError
+from irpmd_rig.core.phase.arguments import fringe_counts, is_integer, is_listed
 
 _TOP = 254
 """Brightest value shown: one short of 255, so that the images themselves decode without saturated pixels."""
+
+_MOST_STEPS = 1000
+_MOST_PX = 16384
+_MOST_BYTES = 2**32
 
 
 def fringe_images(
@@ -29,11 +35,11 @@ def fringe_images(
     Parameters
     ----------
     counts
-        Periods across the projector, one set of images each; any real numbers > 0.
+        Periods across the projector, one set of images each; any real numbers > 0, at most 16384.
     steps
-        Phase steps of each set, at least 3.
+        Phase steps of each set, 3 to 1000.
     size_px
-        Width and height of the images in projector pixels.
+        Width and height of the images in projector pixels, each 1 to 16384; all images together at most 4 GiB.
     axis
         ``"x"``: the phase grows along the columns; ``"y"``: along the rows, with H in place of W.
     bits
@@ -46,41 +52,40 @@ def fringe_images(
     Raises
     ------
     CountsError
-        No counts, or one that is not a finite number above zero.
+        No counts, or one that is not a number above 0 and at most 16384.
     FramesError
-        Fewer than 3 steps, an impossible size, axis or number of bits.
+        An impossible number of steps, size, axis or number of bits; images of more than 4 GiB.
 
     Notes
     -----
     The paper, eq. (1). The rounding shifts the decoded phase coherently where the fringe period is a few
     pixels (physics notes, section 4): it is part of what is shown, not of what is decoded.
     """
-    periods = np.asarray(counts, dtype=np.float64)
-    if periods.ndim != 1 or periods.size == 0 or not np.all(np.isfinite(periods) & (periods > 0)):
-        raise CountsError(f"fringe counts must be finite numbers above 0, got {counts!r}")
+    periods = fringe_counts(counts)
     _check_images(steps, size_px, axis, bits)
-    width, height = size_px
+    width, height = (int(n) for n in size_px)
+    shape = (periods.size, int(steps), height, width)
+    if math.prod(shape) > _MOST_BYTES:
+        raise FramesError(f"images of shape {shape} would be larger than 4 GiB")
     length = width if axis == "x" else height
     position = (np.arange(length) + 0.5) / length
     shifts = np.arange(steps) / steps
-    turns = periods[:, None, None] * position + shifts[:, None]
     levels = min(2**bits - 1, _TOP)
-    level = np.rint((0.5 + 0.5 * np.cos(2 * np.pi * turns)) * levels)
-    profile = np.rint(level * (_TOP / levels)).astype(np.uint8)
-    stretched = profile[:, :, None, :] if axis == "x" else profile[:, :, :, None]
-    return np.ascontiguousarray(np.broadcast_to(stretched, (periods.size, steps, height, width)))
+    images = np.empty(shape, np.uint8)
+    for image_set, period in zip(images, periods, strict=True):
+        turns = period * position + shifts[:, None]
+        level = np.rint((0.5 + 0.5 * np.cos(2 * np.pi * turns)) * levels)
+        profile = np.rint(level * (_TOP / levels))
+        image_set[...] = profile[:, None, :] if axis == "x" else profile[:, :, None]
+    return images
 
 
-def _check_images(steps: int, size_px: tuple[int, int], axis: str, bits: int) -> None:
-    if not _is_integer(steps) or steps < 3:
-        raise FramesError(f"steps must be an integer of at least 3, got {steps!r}")
-    if len(size_px) != 2 or not all(_is_integer(n) and n >= 1 for n in size_px):
-        raise FramesError(f"size_px must be (width, height) in whole pixels of at least 1, got {size_px!r}")
-    if axis not in ("x", "y"):
+def _check_images(steps: object, size_px: object, axis: object, bits: object) -> None:
+    if not is_integer(steps) or not 3 <= steps <= _MOST_STEPS:
+        raise FramesError(f"steps must be an integer of at least 3 and at most {_MOST_STEPS}, got {steps!r}")
+    if not is_listed(size_px) or len(size_px) != 2 or not all(is_integer(n) and 1 <= n <= _MOST_PX for n in size_px):
+        raise FramesError(f"size_px must be (width, height) in whole pixels, 1 to {_MOST_PX}, got {size_px!r}")
+    if not isinstance(axis, str) or axis not in ("x", "y"):
         raise FramesError(f"axis must be 'x' or 'y', got {axis!r}")
-    if not _is_integer(bits) or not 1 <= bits <= 8:
+    if not is_integer(bits) or not 1 <= bits <= 8:
         raise FramesError(f"bits must be an integer from 1 to 8, got {bits!r}")
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

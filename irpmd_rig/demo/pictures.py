@@ -78,7 +78,7 @@ def _panels(
         )
         axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
     figure.colorbar(shown, ax=figure.axes, label=unit, shrink=0.8)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=110, bbox_inches="tight")
 
 
 def _surface(path: Path, points: NDArray[np.float64], limits: NDArray[np.float64]) -> None:

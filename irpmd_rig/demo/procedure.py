@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from irpmd_rig.core import (
     AbsolutePhase,
     CameraCalibration,
+    Checkerboard,
     Drawing,
     PlateRelation,
     RigGeometry,
@@ -89,7 +90,9 @@ class Measurement:
 def calibrate(photographer: Photographer, drawing: Drawing, announce: Announce) -> Calibration:
     """Calibrate from scratch: 30 boards, 21 plates, sprayed mirror with glass, reference at both positions."""
     announce("checkerboard in 30 poses: the camera's intrinsics")
-    camera = calibrate_camera(_board_images(photographer), threads=photographer.threads)
+    board = photographer.rig.world.board
+    chequered = Checkerboard((board.squares[1] - 1, board.squares[0] - 1), board.square_mm)
+    camera = calibrate_camera(_board_images(photographer), chequered, threads=photographer.threads)
     directions = rays(camera.intrinsics)
     announce("white plate at 21 positions: absolute phase to depth")
     relation = fit_plate_relation(_plate_phases(photographer), PLATE_POSITIONS_MM, threads=photographer.threads)

@@ -23,7 +23,7 @@ class Truth:
     Attributes
     ----------
     steps_mm : list of float
-        Of the traced facets, taken where the measured steps are; of the world file where no step was measured.
+        Of the traced facets, taken where the measured steps are; of the world file where not all were measured.
     d_mm : float
         Along the reference's normal at the middle of the glass.
     focal_px : tuple of float
@@ -71,6 +71,7 @@ class Result:
             "steps": [self._step_json(k, step) for k, step in enumerate(self.evaluation.steps)],
             "largest_step_error_um": self._largest_error_um(),
             "facets": self.evaluation.facet_count,
+            "all_facets_found": self.evaluation.facet_count == len(self.truth.steps_mm) + 1,
             "depth_rms_um": self.truth.depth_rms_um,
             "calibration": {
                 "fx_px": camera.intrinsics.focal_px[0],
@@ -113,6 +114,12 @@ class Result:
         console.print(self._calibration_table())
         if self.evaluation.steps:
             console.print(self._step_table())
+        if self.evaluation.steps and not self.compared:
+            console.print(
+                f"only {self.evaluation.facet_count} of the object's {len(self.truth.steps_mm) + 1} facets were found: "
+                "the steps are not those of the world file",
+                style="red",
+            )
         console.print(
             f"depth map: {self.evaluation.facet_count} facets, {self.truth.depth_rms_um:.0f} um rms a pixel "
             f"against the traced surface; {self.seconds:.0f} s; results in {self.out}",
@@ -133,9 +140,9 @@ class Result:
 
     def _step_table(self) -> Table:
         paper = table_of(self.truth.steps_mm)
-        columns = ["step", "measured (mm)", "uncertainty (um)"]
+        columns = ["step", "measured (mm)", "sigma (um)"]
         columns += ["truth (mm)", "error (um)"] if self.compared else []
-        columns += ["paper (mm)", "paper's error (um)"] if self.compared and paper else []
+        columns += ["paper (mm)", "its error (um)"] if self.compared and paper else []
         table = Table(*columns, title=f"{self.subject}, depth equation", caption=self.evaluation.definition)
         for index, step in enumerate(self.evaluation.steps):
             row = [step.name, f"{step.height_mm:.4f}", f"{step.combined_um:.1f}"]

@@ -28,12 +28,14 @@ from irpmd_rig.demo.procedure import (
 )
 from irpmd_rig.demo.result import Result, Truth
 from irpmd_rig.shipped import world_file
-from sims.errors import WorldError
+from sims.errors import SimulationError, WorldError
 from sims.rig import SimulatedRig
 from sims.truth import true_d_mm, true_steps_mm
 from sims.world import World, load_world
 
 THREADS = 2
+# Below, the sprayed strip has too few pixels for its plane.
+SIZES_PX = (320, 4096)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ def run(request: Request, console: Console) -> Result:
     try:
         world = _load(request)
         return _run(world, request, console)
-    except WorldError as error:
+    except (WorldError, SimulationError) as error:
         raise MeasurementError(str(error)) from None
 
 
@@ -70,14 +72,17 @@ def _load(request: Request) -> World:
         )
     if request.size_px is None:
         return world
-    if not 256 <= request.size_px <= 4096:
-        raise MeasurementError(f"--size-px takes 256 to 4096, not {request.size_px}")
+    if not SIZES_PX[0] <= request.size_px <= SIZES_PX[1]:
+        raise MeasurementError(f"--size-px takes {SIZES_PX[0]} to {SIZES_PX[1]}, not {request.size_px}")
     return world.with_camera_size(request.size_px)
 
 
 def _run(world: World, request: Request, console: Console) -> Result:
     # Before the long part: a folder that cannot be written should be known now.
-    request.out.mkdir(parents=True, exist_ok=True)
+    try:
+        request.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MeasurementError(f"--out must name a folder that can be made: {error}") from None
     started = time.monotonic()
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} frames"),
@@ -123,12 +128,13 @@ def _truth(rig: SimulatedRig, subject: str, measurement: Measurement, evaluation
     """Ask the world, after the measurement, what it should have found."""
     rig.move_stage1(STAGE_POSITIONS_MM[0])
     points = rig.trace().point_mm
+    world_steps = true_steps_mm(rig.world, subject)
     inside = evaluation.labels > 0
     error = (measurement.depth_mm - points[..., 2])[inside]
     planes = [_exact_plane(points[evaluation.labels == k + 1]) for k in range(evaluation.facet_count)]
     steps = [float((planes[k + 1] - planes[k]) @ (*step.at_mm, 1.0)) for k, step in enumerate(evaluation.steps)]
     return Truth(
-        steps_mm=steps or true_steps_mm(rig.world, subject),
+        steps_mm=steps if len(steps) == len(world_steps) else world_steps,
         d_mm=true_d_mm(rig.world),
         focal_px=rig.world.camera.fc_px,
         depth_rms_um=1e3 * float(np.sqrt(np.nanmean(error**2))),

@@ -44,7 +44,14 @@ def test_the_images_themselves_decode_over_the_whole_projector_without_a_saturat
     assert np.abs(absolute.phase_rad - truth).max() < 0.006
 
 
-@pytest.mark.parametrize("counts", [(), (0,), (-1, 2), (np.nan,), (np.inf,)])
+@pytest.mark.parametrize(
+    "counts",
+    [
+        *[(), (0,), (-1, 2), (np.nan,), (np.inf,), (1e308,), (10**400,), (16385,)],
+        *[(True,), (1j,), ("64",), ((1, 2), (3,))],
+        *["abc", {64: 1}, {64}, None, 64, np.array(64), np.ones((1, 2)), np.ma.array([64, 63], mask=[0, 1])],
+    ],
+)
 def test_impossible_counts_are_refused(counts):
     with pytest.raises(CountsError, match="above 0"):
         fringe_images(counts=counts)
@@ -55,7 +62,15 @@ def test_impossible_counts_are_refused(counts):
     [
         ({"steps": 2}, "at least 3"),
         ({"steps": 4.0}, "integer"),
+        ({"steps": 10**9}, "at most 1000"),
         ({"size_px": (0, 4)}, "width, height"),
+        ({"size_px": 5}, "width, height"),
+        ({"size_px": None}, "width, height"),
+        ({"size_px": {8: 1, 4: 1}}, "width, height"),
+        ({"size_px": (10**9, 10**9)}, "1 to 16384"),
+        ({"size_px": (16384, 16384), "steps": 1000}, "4 GiB"),
+        ({"axis": np.array(["x", "y"])}, "'x' or 'y'"),
+        ({"axis": None}, "'x' or 'y'"),
         ({"size_px": (4,)}, "width, height"),
         ({"axis": "z"}, "'x' or 'y'"),
         ({"bits": 0}, "1 to 8"),

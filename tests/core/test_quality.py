@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irpmd_rig.core.errors import CountsError, FramesError
+from irpmd_rig.core.errors import CountsError, FramesError, MeasurementError
 from irpmd_rig.core.quality import check_frames
 
 PAPER = (64, 63, 56)
@@ -276,11 +276,49 @@ def test_a_finding_is_a_sentence():
         (np.full((3, 4, 20, 20), np.nan, np.float32), PAPER, FramesError, "NaN"),
         (np.zeros((3, 4, 20, 20), np.uint8), (64, 63), CountsError, "2 fringe counts for 3 sets"),
         (np.zeros((3, 4, 20, 20), np.uint8), (64, 63, -1), CountsError, "positive"),
+        ([[[[1], [1, 2]]]], PAPER, FramesError, "one array"),
+        (np.ma.masked_equal(np.zeros((3, 4, 20, 20), np.uint8), 0), PAPER, FramesError, "drop the mask"),
     ],
 )
 def test_bad_input_is_one_clear_line(frames, counts, error, words):
     with pytest.raises(error, match=words):
         check_frames(frames, counts)
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        *["abc", None, 64, ("64", "63", "56"), ((64, 63), (56,), 1), (64, 63, 56j), (64, 63, True), (64, 63, np.nan)],
+        *[{64: 0, 63: 0, 56: 0}, (10**7, 10**7 - 1, 56)],
+    ],
+)
+def test_counts_that_are_none_are_refused(counts):
+    with pytest.raises(CountsError, match=r"positive numbers .*at most 16384"):
+        check_frames(recorded(clean_frames()), counts)
+
+
+def test_thousands_of_fringes_are_compared_a_part_at_a_time(monkeypatch):
+    frames = recorded(blended(clean_frames(), 6, 0.5))
+    report = check_frames(frames, PAPER)
+    monkeypatch.setattr("irpmd_rig.core.quality.model.ORDERS_AT_ONCE", 64 * 1000)
+    assert check_frames(frames, PAPER) == report
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["saturation_dn", "min_modulation_dn", "max_saturated_fraction", "min_blend", "min_brightness_change"],
+)
+@pytest.mark.parametrize("bad", ["1", True, 1j, [1], np.nan, np.inf, -1])
+def test_thresholds_that_are_no_numbers_are_refused(name, bad):
+    with pytest.raises(MeasurementError, match=name):
+        check_frames(np.zeros((3, 4, 20, 20), np.uint8), PAPER, **{name: bad})
+
+
+@pytest.mark.parametrize("kind", ["uint16", "float32"])
+def test_the_byte_order_does_not_matter(kind):
+    frames = recorded(blended(clean_frames(), 6, 0.5), dtype=np.dtype(kind).type)
+    swapped = frames.astype(frames.dtype.newbyteorder(">"))
+    assert check_frames(swapped, PAPER) == check_frames(frames, PAPER)
 
 
 def test_a_value_over_full_scale_is_refused():

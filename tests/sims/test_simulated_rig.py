@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sims.errors import SimulationError
+from sims.errors import SimulationError, WorldError
 from sims.optics import trace
 from sims.rig import SimulatedRig
 from sims.setup import Setup
@@ -99,9 +99,38 @@ def test_bad_requests_are_one_clear_error(ideal: World) -> None:
         (lambda: rig.set_bits(12), "8 or 10 bits, not 12"),
         (lambda: rig.show(np.zeros((1024, 768), np.uint8)), r"shape \(768, 1024\)"),
         (lambda: rig.show(np.zeros((768, 1024))), "not float64"),
+        (lambda: rig.place(None), "no subject 'None'"),
+        (lambda: rig.place("board", pose=1.5), "poses 0 to 29, not 1.5"),
+        (lambda: rig.place("board", pose="1"), "poses 0 to 29, not '1'"),
+        (lambda: rig.move_stage1("a"), "from -80.0 to 220.0 mm, not to 'a'"),
+        (lambda: rig.move_stage1(None), "not to None"),
+        (lambda: rig.move_stage2("a"), "from 0.0 to 200.0 mm, not to 'a'"),
+        (lambda: rig.move_stage2(None), "not to None"),
+        (lambda: rig.move_stage2(float("nan")), "not to nan"),
+        (lambda: rig.set_exposure("a"), "microseconds, at most 1e9, not 'a'"),
+        (lambda: rig.set_exposure(10**400), "at most 1e9"),
+        (lambda: rig.set_bits(8.0), "8 or 10 bits, not 8.0"),
+        (lambda: rig.show("a"), "shows arrays, not a str"),
+        (lambda: rig.show(5), "shows arrays, not a int"),
+        (lambda: rig.show([[0]]), "shows arrays, not a list"),
     ]
     before = rig.setup
     for call, message in refused:
         with pytest.raises(SimulationError, match=message):
             call()
     assert rig.setup == before
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, "1", True, [1]])
+def test_bad_seeds_are_refused_at_construction(ideal: World, seed: object) -> None:
+    with pytest.raises(SimulationError, match="a seed is a whole number"):
+        SimulatedRig(ideal, seed=seed)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("change", [{"square_mm": 1000.0}, {"margin_px": 5000.0}])
+def test_a_board_that_does_not_fit_is_refused_when_placed(ideal: World, change: dict[str, float]) -> None:
+    board = ideal.board.model_copy(update=change)
+    rig = SimulatedRig(ideal.model_copy(update={"board": board}))
+    with pytest.raises(WorldError, match="no pose 3 fits"):
+        rig.place("board", pose=3)
+    assert rig.setup == Setup("mirror")

@@ -115,7 +115,7 @@ def test_all_errors_are_told_at_once_each_with_its_place(write: Writer) -> None:
         ("centre_mm: [125.0, 0.0, 180.0]", "centre_mm: [125.0, 0.0, -1.0]", "behind the reference plane"),
         ("position_mm: [-160.0, 0.0, 330.0]", "position_mm: [36.0, 0.0, 5.0]", "camera is inside the object"),
         ("position_mm: [-160.0, 0.0, 330.0]", "position_mm: [36.0, 0.0, -5.0]", "behind the reference plane"),
-        ("size_mm: [250.0, 250.0]", "size_mm: [0.0, 250.0]", "greater than 0"),
+        ("size_mm: [250.0, 250.0]", "size_mm: [0.0, 250.0]", "greater than or equal to"),
         ("base_mm: -20.0", "base_mm: 30.0", "base is not below facet 0"),
         ("kc: [-0.13744, 0.14780", "kc: [-3.0, 0.0", "folds the image"),
         ("distortion: [0.24529", "distortion: [-30.0", "folds the picture"),
@@ -127,7 +127,7 @@ def test_all_errors_are_told_at_once_each_with_its_place(write: Writer) -> None:
         ("centre_mm: [36.0, 19.0, 3.0]", "centre_mm: [36.0, 5.0, 3.0]", "this mirror stands in mirror 0"),
         ("radius_x_mm: 100.0", "radius_x_mm: 15.0", "larger than its radii"),
         ("tilts_deg: [[0.6, 0.0], ", "tilts_deg: [", "one pair for each of the 5 facets"),
-        ("steps_mm: [3.9868, ", "steps_mm: [-3.9868, ", "greater than 0"),
+        ("steps_mm: [3.9868, ", "steps_mm: [-3.9868, ", "greater than or equal to"),
         ("outer_radius_mm: 162.0", "outer_radius_mm: 60.0", "must be below outer_radius_mm"),
         ("type: mirror_step", "type: staircase", "staircase"),
         ("  mirror_step_y:", "  mirror:", "this name is taken"),
@@ -136,6 +136,18 @@ def test_all_errors_are_told_at_once_each_with_its_place(write: Writer) -> None:
         ("full_well_e: 13500.0", "full_well_e: .inf", "finite"),
         ("full_well_e: 13500.0", "full_well_e: true", "valid number"),
         ("seed: 1", "seed: -1", "greater than or equal to 0"),
+        ("axis: [0.0, 0.0, -1.0]", "axis: [1.0e+200, 0.0, -1.0e+200]", "less than or equal to"),
+        ("axis: [0.0, 0.0, -1.0]", "axis: [0.0, 0.0, -1.0e-200]", "has no direction"),
+        ("axis: [0.0, 0.0, -1.0]", "axis: [0.3, 0.0, -1.0]", "does not light the glass's centre"),
+        ("position_mm: [80.0, 0.0, 1850.0]", "position_mm: [400.0, 0.0, 1850.0]", "does not light the glass's centre"),
+        ("position_mm: [80.0, 0.0, 1850.0]", "position_mm: [80.0, 0.0, 100.0]", "not between the projector"),
+        ("travel_mm: [-80.0, 220.0]", "travel_mm: [-181.0, 220.0]", "stage1 drives the mirror through the glass"),
+        ("centre_mm: [36.0, 0.0, 0.0]", "centre_mm: [36.0, 0.0, 100.0]", "drives the object 'fan_y' through the glass"),
+        ("position_mm: [80.0, 0.0, 1850.0]", "position_mm: [80.0, 0.0, 1.0e+7]", "less than or equal to 1000000"),
+        ("gain: 1.0", "gain: 1.0e-9", "greater than or equal to"),
+        ("read_noise_e: 13.0", "read_noise_e: 1.0e+12", "less than or equal to"),
+        ("full_well_e: 13500.0", "full_well_e: 1.0e+300", "less than or equal to"),
+        ("bump_width_mm: 5.0", "bump_width_mm: 1.0e-4", "greater than or equal to 0.001"),
     ],
 )
 def test_impossible_worlds_are_refused_with_their_place(write: Writer, old: str, new: str, message: str) -> None:
@@ -157,7 +169,8 @@ def test_impossible_worlds_are_refused_with_their_place(write: Writer, old: str,
         ("a: 1\n---\nb: 2\n", "one document"),
         ("a: " + "[" * 30 + "]" * 30 + "\n", "nested deeper"),
         ("a: \x01\n", "w.yaml"),
-        ("# " + "x" * 1_000_001, "larger than"),
+        ("# " + "x" * 64_000, "larger than"),
+        ("a: [" + "1," * 20_000 + "1]", "too many values"),
         (f"seed: {'9' * 5000}\n", "w.yaml"),
     ],
 )
@@ -175,6 +188,12 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     (tmp_path / "latin.yaml").write_bytes(b"a: \xff\n")
     with pytest.raises(WorldError, match="not UTF-8"):
         load_world(tmp_path / "latin.yaml")
+
+
+@pytest.mark.parametrize("path", [None, 5, "a\0b"])
+def test_what_is_no_path_is_refused(path: object) -> None:
+    with pytest.raises(WorldError, match="path"):
+        load_world(path)  # type: ignore[arg-type]
 
 
 @given(text=st.text(max_size=200))
@@ -209,3 +228,15 @@ def test_a_smaller_camera_keeps_its_field_of_view(aligned: World) -> None:
             assert (small - aligned.camera.cc_px[axis]) / aligned.camera.fc_px[axis] == pytest.approx(
                 (left - full.cc_px[axis]) / full.fc_px[axis], rel=1e-12
             )
+
+
+@pytest.mark.parametrize("width_px", [0, -5, 63, 8193, 10**6, 2.5, 256.0, True, None, "256"])
+def test_a_camera_of_no_sane_size_is_refused(aligned: World, width_px: object) -> None:
+    with pytest.raises(WorldError, match="64 to 8192 whole columns"):
+        aligned.with_camera_size(width_px)  # type: ignore[arg-type]
+
+
+def test_a_resized_world_is_validated(aligned: World) -> None:
+    flat = aligned.camera.model_copy(update={"size_px": (256, 16)})
+    with pytest.raises(WorldError, match="with 64 columns"):
+        aligned.model_copy(update={"camera": flat}).with_camera_size(64)

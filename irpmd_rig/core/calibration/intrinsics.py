@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from irpmd_rig.core.arguments import whole_number
 from irpmd_rig.core.camera import Intrinsics
 from irpmd_rig.core.errors import CalibrationError, FramesError
 
 FEWEST_BOARDS = 3
+_SMALLEST_IMAGE_PX = 64
 # k3 is held at zero, as in Table 1: 30 boards of this lens do not determine it.
 _FLAGS = cv2.CALIB_FIX_K3
 _REFINEMENT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
@@ -27,7 +29,8 @@ class Checkerboard:
     square_mm: float = 10.0
 
     def __post_init__(self) -> None:
-        if min(self.inner_corners) < 3 or not self.square_mm > 0:
+        whole = len(self.inner_corners) == 2 and all(isinstance(n, int) and n >= 3 for n in self.inner_corners)
+        if not whole or not 0 < self.square_mm < np.inf:
             raise CalibrationError(
                 f"a checkerboard needs at least 3 x 3 inner corners and a positive square, "
                 f"not {self.inner_corners} and {self.square_mm} mm"
@@ -122,8 +125,11 @@ def find_corners(image: NDArray[np.uint8] | NDArray[np.uint16], board: Checkerbo
     FramesError
         For an image that is not a single grey frame.
     """
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
-        raise FramesError(f"a board image must be (H, W) uint8 or uint16, not {image.shape} {image.dtype}")
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or min(image.shape) < _SMALLEST_IMAGE_PX:
+        raise FramesError(
+            f"a board image must be (H, W) uint8 or uint16 of at least {_SMALLEST_IMAGE_PX} px a side, "
+            f"not {image.shape} {image.dtype}"
+        )
     grey = image
     if image.dtype == np.uint16:
         grey = (image * (255.0 / max(int(image.max()), 1))).astype(np.uint8)
@@ -187,6 +193,7 @@ def calibrate_camera(
     Bouguet's model (the paper, reference 29) as implemented by OpenCV; k3 is held at zero as in Table 1.
     """
     board = board or Checkerboard()
+    whole_number("threads", threads, least=1)
     if len({image.shape for image in images}) > 1:
         raise FramesError(f"board images differ in size: {sorted({i.shape for i in images})}")
     with ThreadPoolExecutor(threads) as pool:

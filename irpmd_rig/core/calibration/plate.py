@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from irpmd_rig.core.arguments import whole_number
 from irpmd_rig.core.calibration.intrinsics import BoardPose
 from irpmd_rig.core.calibration.plate_kernel import evaluate_polynomials, fit_polynomials
 from irpmd_rig.core.calibration.plate_order import OrderResidual, choose_order
@@ -16,6 +17,9 @@ from irpmd_rig.core.threads import over_rows
 
 # A pixel extrapolates at most this fraction of the phases that it saw: the polynomial is not to be trusted beyond.
 _EXTRAPOLATION = 0.05
+# A pixel whose positions scatter by more than this share of the travel does not see the plate move: it is dead, or
+# its phase folds back.
+_LARGEST_SCATTER = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +115,8 @@ def fit_plate_relation(
     Returns
     -------
     PlateRelation
-        NaN at pixels that saw fewer than order + 3 positions, or phases that do not change.
+        NaN at pixels that saw fewer than order + 3 positions or left a wide gap between them, whose phases do not
+        change, or whose positions scatter about the polynomial by more than 0.5 % of the travel.
 
     Raises
     ------
@@ -124,12 +129,17 @@ def fit_plate_relation(
     -----
     Order 2 biases d by 88 um, order 3 by 2.9, order 4 by 0.0 in the rig of the physics notes, section 6.
     """
+    if order is not None:
+        whole_number("order", order, least=1)
     if isinstance(phases_rad, np.ndarray):
         stack = phases_rad
     elif len({np.shape(phase) for phase in phases_rad}) == 1:
-        stack = np.stack(list(phases_rad))
+        stack = np.stack([np.asarray(phase) for phase in phases_rad])
     else:
         raise FramesError(f"the plate's phase maps differ in shape: {sorted({np.shape(p) for p in phases_rad})}")
+    if stack.dtype.kind != "f":
+        raise FramesError(f"the plate's phase maps must be floating-point numbers, not {stack.dtype}")
+    stack = stack.astype(np.float32, copy=False)
     positions = np.asarray(positions_mm, dtype=np.float64)
     if stack.ndim != 3 or positions.shape != (len(stack),) or not np.all(np.isfinite(positions)):
         raise FramesError(
@@ -157,6 +167,7 @@ def fit_plate_relation(
             stack[:, first:last],
             positions,
             chosen + 3,
+            _LARGEST_SCATTER * float(np.ptp(positions)),
             coefficients[first:last],
             centre[first:last],
             half_range[first:last],

@@ -6,12 +6,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# A third of a pixel's phases without a position is a stretch over which the polynomial would be a guess.
+_GAP_CELLS = 3
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_polynomials(
     phases: NDArray[np.float32],
     positions: NDArray[np.float64],
     fewest: int,
+    largest_scatter: float,
     coefficients: NDArray[np.float64],
     centre: NDArray[np.float64],
     half_range: NDArray[np.float64],
@@ -50,7 +54,10 @@ def fit_polynomials(
                     right[i] += powers[i] * positions[k]
                     for j in range(i + 1):
                         normal[i, j] += powers[i] * powers[j]
-            if not _solve_in_place(normal, right):
+            known = _solve_in_place(normal, right)
+            if known:
+                known = _describes(phases[:, v, u], positions, right, centre[v, u], half_range[v, u], largest_scatter)
+            if not known:
                 right[:] = np.nan
             coefficients[v, u, :] = right
 
@@ -79,6 +86,31 @@ def _solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) ->
             vector[i] -= matrix[k, i] * vector[k]
         vector[i] /= matrix[i, i]
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _describes(
+    phases: NDArray[np.float32],
+    positions: NDArray[np.float64],
+    polynomial: NDArray[np.float64],
+    centre: float,
+    half_range: float,
+    largest_scatter: float,
+) -> bool:
+    """Whether one pixel's polynomial fits its positions, and no stretch of its phases is without a position."""
+    total, seen = 0.0, 0
+    cells = np.zeros(_GAP_CELLS, dtype=np.bool_)
+    for k in range(positions.size):
+        if not np.isfinite(phases[k]):
+            continue
+        t = (np.float64(phases[k]) - centre) / half_range
+        value = polynomial[-1]
+        for i in range(polynomial.size - 2, -1, -1):
+            value = value * t + polynomial[i]
+        total += (value - positions[k]) ** 2
+        seen += 1
+        cells[min(int(0.5 * (t + 1.0) * _GAP_CELLS), _GAP_CELLS - 1)] = True
+    return bool(cells.all()) and total <= largest_scatter**2 * max(seen - polynomial.size, 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -76,7 +76,9 @@ def choose_order(
         pixel = np.sqrt(np.mean(np.concatenate([r.ravel() for r in left_out]) ** 2))
         coherent = np.sqrt(np.mean(np.concatenate([r.mean(axis=0) for r in left_out]) ** 2))
         residuals.append(OrderResidual(order, float(1e3 * pixel), float(1e3 * coherent)))
-    best = min(residual.coherent_um for residual in residuals)
+    best = min((residual.coherent_um for residual in residuals), default=float("nan"))
+    if not np.isfinite(best):
+        raise CalibrationError("the plate's phase does not change with its position: check that it moves and is lit")
     order = next(r.order for r in residuals if r.coherent_um <= _AS_GOOD * best)
     return order, tuple(residuals)
 
@@ -109,7 +111,10 @@ def _blocks(
 def _left_out_residuals(phases: NDArray[np.float64], positions: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     """Residual at each position when it is left out, (pixels, positions), mm."""
     low, high = phases.min(axis=0), phases.max(axis=0)
-    t = ((2 * phases - (low + high)) / (high - low)).T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t = ((2 * phases - (low + high)) / (high - low)).T
+    if not np.isfinite(t).all():
+        return np.full((phases.shape[1], phases.shape[0]), np.nan)
     design = t[:, :, None] ** np.arange(order + 1)
     basis, _ = np.linalg.qr(design)
     residual = positions - np.einsum("pki,pji,j->pk", basis, basis, positions, optimize=True)

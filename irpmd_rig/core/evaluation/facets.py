@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from irpmd_rig.core.arguments import whole_number
 from irpmd_rig.core.errors import EvaluationError, FramesError
 
 # Depth is compared over this many pixels: more than the optics blur, less than a facet.
@@ -84,10 +85,18 @@ def find_facets(
     below about eight times the noise of a pixel are not seen. Lines and specks of unknown pixels up to 6 px wide
     do not part a surface that goes on behind them.
     """
-    if depth_mm.ndim != 2 or (valid is not None and valid.shape != depth_mm.shape):
-        shape = None if valid is None else valid.shape
-        raise FramesError(f"the depth map must be (H, W) with a mask alike, not {depth_mm.shape} and {shape}")
-    known = np.isfinite(depth_mm) if valid is None else np.isfinite(depth_mm) & valid
+    depth_mm = np.asarray(depth_mm)
+    valid = np.ones(depth_mm.shape, dtype=bool) if valid is None else np.asarray(valid)
+    whole_number("erosion_px", erosion_px, least=0)
+    if min_pixels is not None:
+        whole_number("min_pixels", min_pixels, least=1)
+    is_map = depth_mm.ndim == 2 and depth_mm.dtype.kind == "f"
+    if not is_map or valid.shape != depth_mm.shape or valid.dtype.kind not in "biu":
+        raise FramesError(
+            f"the depth map must be (H, W) floating-point numbers with a mask alike, not {depth_mm.shape} "
+            f"{depth_mm.dtype} and {valid.shape} {valid.dtype}"
+        )
+    known = np.isfinite(depth_mm) & valid.astype(bool)
     if known.sum() < _FEWEST_PIXELS:
         raise EvaluationError(f"only {int(known.sum())} pixels have a depth: no facet can be found")
     rows, columns = np.nonzero(known)

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.errors import CalibrationError, EvaluationError
+from irpmd_rig.core.errors import CalibrationError, EvaluationError, FramesError
 from irpmd_rig.core.evaluation.facets import Facets
 from irpmd_rig.core.frame import ReferenceFrame
 from irpmd_rig.core.planes import fit_plane
 
-# A plane's residual is the pixels' noise; what is this much larger is another surface.
-_FLAT_RATIO = 3.0
+# Means over blocks of this side, px, have little of the pixels' noise left: what remains in them is shape. More of it
+# than a pixel's noise, and more than misalignment bends a plane, is another surface.
+_SHAPE_BLOCK_PX = 16
+_LEAST_SHAPE_MM = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,7 @@ class FacetPlane:
     pixels : int
         Pixels used.
     flat : bool
-        Whether the residual is no larger than noise explains; if not, the plane does not describe the facet.
+        Whether no more shape is left than a pixel's noise, or 20 um; if not, the plane does not describe the facet.
     """
 
     facet: int
@@ -88,6 +90,8 @@ def fit_facets(
 
     Raises
     ------
+    FramesError
+        If depth map, labels and rays differ in size.
     EvaluationError
         If a facet has too few pixels to carry a plane.
 
@@ -95,13 +99,18 @@ def fit_facets(
     -----
     The inverse range is fitted over the ray's direction (`irpmd_rig.core.fit_plane`; physics notes, section 4).
     """
+    if not depth_mm.shape == facets.labels.shape == rays.shape[:2]:
+        raise FramesError(
+            f"depth map, facets and rays must be of one size, not {depth_mm.shape}, {facets.labels.shape} "
+            f"and {rays.shape}"
+        )
     planes = []
     for facet in range(1, facets.count + 1):
         rows, columns = np.nonzero(facets.mask(facet))
         window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
         directions = frame.directions(rays[window])
         height = depth_mm[window].astype(np.float64)
-        mask = facets.labels[window] == facet
+        mask = (facets.labels[window] == facet) & np.isfinite(height)
         try:
             planes.append(_fit(facet, height, directions, mask, frame.camera_mm, facets.noise_mm))
         except CalibrationError as error:
@@ -131,6 +140,7 @@ def _fit(
         axis=1,
     )
     values = parameters(plane.q)
+    residual = (reach - plane.depth_mm(directions)) * directions[..., 2]
     # The residual along the ray's direction vector, turned into height.
     rms = plane.rms_mm * float(np.abs(directions[mask][:, 2]).mean())
     return FacetPlane(
@@ -142,5 +152,15 @@ def _fit(
         mean_height_mm=float(height_mm[mask].mean()),
         rms_mm=rms,
         pixels=plane.pixels,
-        flat=bool(rms <= max(_FLAT_RATIO * noise_mm, 1e-6)),
+        flat=_shape_mm(residual, mask) <= max(noise_mm, _LEAST_SHAPE_MM),
     )
+
+
+def _shape_mm(residual_mm: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
+    """RMS of the block means of a residual."""
+    rows, columns = np.nonzero(mask)
+    block = (rows // _SHAPE_BLOCK_PX) * 100_003 + columns // _SHAPE_BLOCK_PX
+    _, member, size = np.unique(block, return_inverse=True, return_counts=True)
+    full = size >= 0.5 * size.max()
+    means = np.bincount(member, weights=residual_mm[mask]) / size
+    return float(np.sqrt(np.mean(means[full] ** 2)))

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from irpmd_rig.core.errors import CountsError, MeasurementError
+from irpmd_rig.core.phase.arguments import fringe_counts
 
 Unwrapping = Literal["optimum", "hierarchical"]
 
@@ -57,13 +58,8 @@ class Ladder:
 
 
 def checked_counts(counts: Sequence[float], sets: int) -> tuple[float, ...]:
-    """Return the counts as floats: finite, above zero, all different, one for each set of frames."""
-    try:
-        periods = np.asarray(counts, dtype=np.float64)
-    except (TypeError, ValueError):
-        periods = np.empty((0, 0))
-    if periods.ndim != 1 or not np.all(np.isfinite(periods) & (periods > 0)):
-        raise CountsError(f"fringe counts must be finite numbers above 0, got {counts!r}")
+    """Return the counts as floats: numbers above zero, all different, one for each set of frames."""
+    periods = fringe_counts(counts)
     if periods.size != sets:
         raise CountsError(f"{periods.size} fringe counts were given for frames of {sets} sets")
     if np.unique(periods).size != periods.size:
@@ -73,11 +69,9 @@ def checked_counts(counts: Sequence[float], sets: int) -> tuple[float, ...]:
 
 def ladder(counts: tuple[float, ...], unwrapping: Unwrapping) -> Ladder:
     """Ladder of a set of counts; raises CountsError where the method cannot use them."""
-    if unwrapping == "optimum":
-        return _optimum(counts)
-    if unwrapping == "hierarchical":
-        return _hierarchical(counts)
-    raise MeasurementError(f"unwrapping must be 'optimum' or 'hierarchical', got {unwrapping!r}")
+    if not isinstance(unwrapping, str) or unwrapping not in ("optimum", "hierarchical"):
+        raise MeasurementError(f"unwrapping must be 'optimum' or 'hierarchical', got {unwrapping!r}")
+    return _optimum(counts) if unwrapping == "optimum" else _hierarchical(counts)
 
 
 def _optimum(counts: tuple[float, ...]) -> Ladder:

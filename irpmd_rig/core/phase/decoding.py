@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from irpmd_rig.core.errors import FramesError, MeasurementError
 from irpmd_rig.core.phase._kernels import BLOCK, Gates, Maps, Rungs, decode_pixels, wrap_pixels
+from irpmd_rig.core.phase.arguments import checked_number, is_integer
 from irpmd_rig.core.phase.counts import RESIDUAL_MARGIN_TURNS, Ladder, checked_counts, ladder
 from irpmd_rig.core.phase.frames import Frames, Values, checked_frames, chunk_count, chunks
 from irpmd_rig.core.phase.noise import estimate_noise, sample_cells
@@ -65,11 +66,12 @@ def decode(
     Raises
     ------
     FramesError
-        Wrong shape or type, too few steps, values that are not finite or above the full scale.
+        Wrong shape or type, too few steps, values that are masked, not finite or above the full scale.
     CountsError
         Counts that the method cannot use.
     MeasurementError
-        An unknown ``unwrapping``, an impossible number of threads or threshold, an ``out`` of another size.
+        An unknown ``unwrapping``, an impossible number of threads or threshold, a ``response`` of another type,
+        an ``out`` whose arrays cannot be overwritten: another size, type or layout, or read-only.
 
     Notes
     -----
@@ -83,15 +85,14 @@ def decode(
     sets, steps, height, width = taken.values.shape
     periods = checked_counts(counts, sets)
     rungs = ladder(periods, unwrapping)
-    if isinstance(threads, bool) or not isinstance(threads, int | np.integer) or threads < 1:
+    if not is_integer(threads) or threads < 1:
         raise MeasurementError(f"threads must be a whole number of at least 1, got {threads!r}")
-    if min_modulation_dn is not None and not 0 <= min_modulation_dn < np.inf:
-        raise MeasurementError(f"min_modulation_dn must be a number of at least 0, got {min_modulation_dn!r}")
+    chosen = None if min_modulation_dn is None else checked_number("min_modulation_dn", min_modulation_dn)
+    maps = _maps(height, width, out)
     noise = _noise(taken, rungs)
-    gate = noise.least_modulation_dn(rungs.gate(steps)) if min_modulation_dn is None else float(min_modulation_dn)
+    gate = noise.least_modulation_dn(rungs.gate(steps)) if chosen is None else chosen
     least = max(gate, taken.rounding_dn)
     settings = _settings(taken, rungs, least)
-    maps = _maps(height, width, out)
     flat = taken.direct
     largest = (
         _decode_in_place(flat, settings, maps, threads)
@@ -128,7 +129,9 @@ def wrapped_phases(frames: npt.ArrayLike, *, response: CameraResponse | None = N
     Raises
     ------
     FramesError
-        Wrong shape or type, too few steps, values that are not finite.
+        Wrong shape or type, too few steps, values that are masked or not finite.
+    MeasurementError
+        A ``response`` of another type.
 
     Notes
     -----
@@ -255,9 +258,27 @@ def _maps(height: int, width: int, out: AbsolutePhase | None) -> Maps:
     pixels = height * width
     if out is None:
         return Maps(np.empty(pixels, np.float32), np.empty(pixels, np.float32), np.empty(pixels, np.bool_))
-    if out.valid.shape != (height, width):
-        raise MeasurementError(f"out is a result of shape {out.valid.shape}, the frames are {(height, width)}")
-    return Maps(out.phase_rad.reshape(-1), out.modulation_dn.reshape(-1), out.valid.reshape(-1))
+    if not isinstance(out, AbsolutePhase):
+        raise MeasurementError(f"out must be a result of decode, got {type(out).__name__}")
+    shape = (height, width)
+    return Maps(
+        _reused("phase_rad", out.phase_rad, shape, np.float32),
+        _reused("modulation_dn", out.modulation_dn, shape, np.float32),
+        _reused("valid", out.valid, shape, np.bool_),
+    )
+
+
+def _reused(name: str, array: object, shape: tuple[int, int], kind: type[np.generic]) -> Values:
+    """Flat view of an array of an earlier result; raises MeasurementError if it cannot be overwritten."""
+    if not isinstance(array, np.ndarray):
+        raise MeasurementError(f"out.{name} must be an array, got {type(array).__name__}")
+    if array.shape != shape:
+        raise MeasurementError(f"out is a result of shape {array.shape} ({name}), the frames are {shape}")
+    if array.dtype != kind:
+        raise MeasurementError(f"out.{name} must be {kind.__name__}, got {array.dtype}")
+    if not array.flags.carray:
+        raise MeasurementError(f"out.{name} must be C-contiguous, aligned and writeable")
+    return np.asarray(array).reshape(-1)
 
 
 def _part(maps: Maps, first: int, last: int) -> Maps:

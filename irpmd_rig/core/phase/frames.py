@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from irpmd_rig.core.errors import FramesError
+from irpmd_rig.core.errors import FramesError, MeasurementError
 from irpmd_rig.core.phase._kernels import largest_bits
+from irpmd_rig.core.phase.arguments import BEYOND, checked_number, frame_array
 from irpmd_rig.core.phase.response import CameraResponse
 
 Values = npt.NDArray[Any]
 
 _FULL_SCALE_DN = {"uint8": 255.0, "uint16": 1023.0, "float32": float("inf")}
 _CHUNK_PX = 65536
-_BEYOND = np.float32(1e30)
+_BEYOND = np.float32(BEYOND)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +71,10 @@ class Frames:
 def checked_frames(
     frames: npt.ArrayLike, response: CameraResponse | None = None, saturation_dn: float | None = None
 ) -> Frames:
-    """Frames whose shape, type and values can be decoded; raises FramesError for others."""
-    try:
-        values = np.asarray(frames)
-    except ValueError as error:
-        raise FramesError(f"frames must be one array (sets, steps, H, W): {error}") from error
+    """Frames whose shape, type and values can be decoded; raises FramesError, or MeasurementError for the options."""
+    if response is not None and not isinstance(response, CameraResponse):
+        raise MeasurementError(f"response must be a CameraResponse or None, got {type(response).__name__}")
+    values = frame_array(frames)
     if values.ndim != 4:
         raise FramesError(f"frames must be of shape (sets, steps, H, W), got {values.shape}")
     kind = values.dtype.newbyteorder("=").name
@@ -84,10 +84,8 @@ def checked_frames(
         raise FramesError(f"frames must hold at least one set and one pixel, got shape {values.shape}")
     if values.shape[1] < 3:
         raise FramesError(f"a set needs at least 3 phase steps, got {values.shape[1]}: shape {values.shape}")
-    if saturation_dn is not None and not saturation_dn > 0:
-        raise FramesError(f"saturation_dn must be above 0, got {saturation_dn!r}")
     assumed = _FULL_SCALE_DN[kind]
-    saturation = assumed if saturation_dn is None else float(saturation_dn)
+    saturation = assumed if saturation_dn is None else checked_number("saturation_dn", saturation_dn, zero=False)
     if kind == "float32":
         largest, quantum = _largest_finite(values), 0.0
     else:

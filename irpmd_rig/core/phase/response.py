@@ -36,7 +36,10 @@ class CameraResponse:
 
     def __post_init__(self) -> None:
         for name in ("camera_values", "linear_values"):
-            points = np.array(getattr(self, name), dtype=np.float64)
+            try:
+                points = np.array(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise CalibrationError(f"the {name} of a response must be a list of numbers: {error}") from error
             points.flags.writeable = False
             object.__setattr__(self, name, points)
         camera, linear = self.camera_values, self.linear_values

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from irpmd_rig.core.phase.arguments import checked_number
 from irpmd_rig.core.quality.examination import Examination
 from irpmd_rig.core.quality.report import FrameFinding, FrameReport
 from irpmd_rig.core.quality.sampling import Sample, checked_frames, full_scale_dn, take_sample
@@ -67,20 +68,27 @@ def check_frames(
     Raises
     ------
     FramesError
-        Wrong shape or type, fewer than three steps, NaN, a value over full scale.
+        Wrong shape or type, fewer than three steps, NaN, a masked value, a value over full scale.
     CountsError
-        Not one positive count for each set.
+        Not one positive count, at most 16384, for each set.
+    MeasurementError
+        A threshold that is no finite number of at least zero (saturation_dn: above zero).
     """
-    frames = checked_frames(frames, tuple(counts), saturation_dn)
+    frames, periods = checked_frames(frames, counts, saturation_dn)
+    max_saturated_fraction = checked_number("max_saturated_fraction", max_saturated_fraction)
+    limits = SmallLimits(
+        checked_number("min_blend", min_blend), checked_number("min_brightness_change", min_brightness_change)
+    )
     full_scale = full_scale_dn(frames, saturation_dn)
     sample = take_sample(frames, full_scale)
     if min_modulation_dn is None:
         min_modulation_dn = 10.0 * (1.0 if full_scale is None else full_scale / 255)
+    min_modulation_dn = checked_number("min_modulation_dn", min_modulation_dn)
     notes = [] if full_scale is not None else ["saturation not checked: give saturation_dn for float frames"]
     if sample.values_dn.shape[2] < FEWEST_PIXELS:
         return _nothing_lit(sample, frames.shape[0], notes, _saturated(sample, max_saturated_fraction))
     floor = ROUNDING_DN2 if frames.dtype != np.float32 else 0.0
-    examined = Examination(sample, np.asarray(counts, float), floor, SmallLimits(min_blend, min_brightness_change))
+    examined = Examination(sample, periods, floor, limits)
     findings = examined.findings
     findings += _saturated(sample, max_saturated_fraction)
     findings += _weak(examined.modulation_dn, min_modulation_dn, examined.noise_dn)

@@ -18,6 +18,9 @@ Bools = NDArray[np.bool_]
 TRIMMED_SHARE = 0.9
 """The worst tenth of the pixels does not count: edges of objects mix two surfaces."""
 
+ORDERS_AT_ONCE = 2**24
+"""Pixels times fringe orders that are compared at a time: 64 MiB of float32."""
+
 PHASES_AGREE = 0.3
 """Ratio of the squared phase disagreement to that of chance below which the orders are trusted."""
 
@@ -91,7 +94,8 @@ def common_coordinate(fits: SetFits, counts: Floats) -> Coordinate:
     # float32: only the place of the largest sum matters.
     left = np.concatenate([turned.real, turned.imag]).T.astype(np.float32)
     right = np.concatenate([np.cos(asked), np.sin(asked)]).astype(np.float32)
-    order = np.argmax(left @ right, axis=1)
+    parts = np.array_split(left, -(-left.shape[0] * orders.size // ORDERS_AT_ONCE))
+    order = np.concatenate([np.argmax(part @ right, axis=1) for part in parts])
     phase = ratio[:, None] * (fine_phase + 2 * np.pi * order)
     difference = np.angle(unit * np.exp(-1j * phase))
     weight = np.where(fits.used, 1 / np.sqrt(fits.z_variance), 0.0)[:, None] * modulation

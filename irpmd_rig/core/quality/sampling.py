@@ -1,11 +1,13 @@
 """Which pixels the check of the frames looks at, and how bright they are."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core.errors import CountsError, FramesError
+from irpmd_rig.core.phase.arguments import checked_number, frame_array, fringe_counts
 
 Floats = NDArray[np.float64]
 
@@ -57,36 +59,38 @@ class Sample:
 
 
 def checked_frames(
-    frames: NDArray[np.generic], counts: tuple[float, ...], saturation_dn: float | None
-) -> NDArray[np.generic]:
-    """Refuse frames and counts that cannot be checked.
+    frames: NDArray[np.generic], counts: Sequence[float], saturation_dn: float | None
+) -> tuple[NDArray[np.generic], Floats]:
+    """Frames of the machine's byte order, and counts; those that cannot be checked are refused.
 
     Raises
     ------
     FramesError
-        Wrong number of axes, type, fewer than three steps, NaN, values over full scale.
+        Wrong number of axes, type, fewer than three steps, NaN, masked values, values over full scale.
     CountsError
         Not one positive count for each set.
+    MeasurementError
+        A saturation_dn that is no positive number.
     """
-    frames = np.asarray(frames)
+    frames = frame_array(frames)
     if frames.ndim != 4 or 0 in frames.shape:
         raise FramesError(f"frames have shape {frames.shape}: accepted is (sets, steps, rows, columns)")
-    if frames.dtype not in (np.uint8, np.uint16, np.float32):
+    native = frames.dtype.newbyteorder("=")
+    if native not in (np.uint8, np.uint16, np.float32):
         raise FramesError(f"frames are {frames.dtype}: accepted are uint8, uint16 and float32")
     if frames.shape[1] < 3:
         raise FramesError(f"{frames.shape[1]} steps a set: accepted are 3 or more")
+    frames = frames.astype(native, copy=False)
     if frames.dtype == np.float32 and not np.isfinite(frames.sum(dtype=np.float64)):
         raise FramesError("frames hold NaN or infinite values: accepted are finite values")
     if saturation_dn is not None:
-        if not saturation_dn > 0:
-            raise FramesError(f"saturation_dn is {saturation_dn}: accepted is a positive value")
+        saturation_dn = checked_number("saturation_dn", saturation_dn, zero=False)
         if float(frames.max()) > saturation_dn:
             raise FramesError(f"a value of {frames.max()} is over the full scale of {saturation_dn}")
-    if len(counts) != frames.shape[0]:
-        raise CountsError(f"{len(counts)} fringe counts for {frames.shape[0]} sets: accepted is one each")
-    if not all(np.isfinite(c) and c > 0 for c in counts):
-        raise CountsError(f"fringe counts {counts}: accepted are positive numbers")
-    return frames
+    periods = fringe_counts(counts)
+    if periods.size != frames.shape[0]:
+        raise CountsError(f"{periods.size} fringe counts for {frames.shape[0]} sets: accepted is one each")
+    return frames, periods
 
 
 def full_scale_dn(frames: NDArray[np.generic], saturation_dn: float | None) -> float | None:

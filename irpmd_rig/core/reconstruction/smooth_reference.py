@@ -60,6 +60,12 @@ def smooth_reference(phase_rad: NDArray[np.floating], *, region: NDArray[np.bool
     FramesError
         If too few pixels are valid to carry the surface.
     """
+    phase_rad = np.asarray(phase_rad)
+    if phase_rad.ndim != 2 or phase_rad.dtype.kind != "f" or (region is not None and region.shape != phase_rad.shape):
+        raise FramesError(
+            f"the reference phase must be (H, W) floating-point numbers with a region alike, not {phase_rad.shape} "
+            f"{phase_rad.dtype}"
+        )
     known = np.isfinite(phase_rad) if region is None else np.isfinite(phase_rad) & region
     height, width = phase_rad.shape
     terms = (_DEGREE + 1) * (_DEGREE + 2) // 2

@@ -5,7 +5,7 @@ import pytest
 
 from irpmd_rig.core.calibration.intrinsics import BoardPose
 from irpmd_rig.core.calibration.plate import fit_plate_relation, place_plate
-from irpmd_rig.core.errors import CalibrationError, FramesError
+from irpmd_rig.core.errors import CalibrationError, FramesError, MeasurementError
 
 POSITIONS = np.arange(0.0, 201.0, 10.0)
 
@@ -87,3 +87,32 @@ def test_what_is_missing_is_said():
     relation = fit_plate_relation(stack(), POSITIONS, order=3)
     with pytest.raises(FramesError, match="plate relation"):
         relation.position_mm(np.zeros((5, 5), np.float32))
+
+
+def test_a_pixel_whose_phase_folds_back_jumps_or_leaves_a_gap_is_unknown():
+    phases = stack()
+    phases[:, 0, 0] = 100 + 0.01 * (POSITIONS - 100) ** 2
+    phases[:, 0, 1] = np.random.default_rng(0).uniform(0, 400, POSITIONS.size)
+    phases[5:20, 0, 2] = np.nan
+    relation = fit_plate_relation(phases, POSITIONS, order=2)
+    assert not relation.valid[0, :3].any()
+    assert relation.valid.sum() == relation.valid.size - 3
+    with pytest.raises(CalibrationError, match="does not change"):
+        fit_plate_relation(np.zeros((21, 64, 64), np.float32), POSITIONS)
+
+
+@pytest.mark.parametrize("order", [-1, 0, 1.5, "2"])
+def test_an_impossible_order_is_refused(order):
+    with pytest.raises(MeasurementError, match="order must be a whole number"):
+        fit_plate_relation(stack(), POSITIONS, order=order)
+
+
+def test_other_float_types_are_taken_and_others_refused():
+    swapped = fit_plate_relation(stack().astype(">f8"), POSITIONS, order=3)
+    np.testing.assert_array_equal(
+        swapped.coefficients_mm, fit_plate_relation(stack(), POSITIONS, order=3).coefficients_mm
+    )
+    with pytest.raises(FramesError, match="floating-point"):
+        fit_plate_relation(stack().astype(complex), POSITIONS, order=3)
+    with pytest.raises(MeasurementError, match="threads"):
+        fit_plate_relation(stack(), POSITIONS, order=3, threads=0)

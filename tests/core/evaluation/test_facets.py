@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from irpmd_rig.core import find_facets
-from irpmd_rig.core.errors import EvaluationError, FramesError
+from irpmd_rig.core.errors import EvaluationError, FramesError, MeasurementError
 
 from .scene import RAYS, on_plane, stepped_depth
 
@@ -80,6 +80,7 @@ def test_the_mask_is_obeyed():
     depth, truth = stepped_depth(noise_mm=0.05)
     facets = find_facets(depth, truth >= 3)
     assert facets.count == 2
+    np.testing.assert_array_equal(find_facets(depth, (truth >= 3).astype(int)).labels, facets.labels)
     assert not (facets.labels[truth < 3] > 0).any()
 
 
@@ -89,5 +90,11 @@ def test_what_cannot_be_found_is_said():
     depth, _ = stepped_depth()
     with pytest.raises(EvaluationError, match="at least 1000000 pixels"):
         find_facets(depth, min_pixels=1_000_000)
-    with pytest.raises(FramesError, match="mask alike"):
-        find_facets(depth, np.ones((3, 3), bool))
+    for odd in (np.ones((3, 3), bool), np.ones(depth.shape)):
+        with pytest.raises(FramesError, match="mask alike"):
+            find_facets(depth, odd)
+    for odd in (None, "map", depth.astype(complex), depth[0]):
+        with pytest.raises(FramesError):
+            find_facets(odd)
+    with pytest.raises(MeasurementError, match="erosion_px"):
+        find_facets(depth, erosion_px=-1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irpmd_rig.core import Influence, find_facets, fit_facets, step_heights
-from irpmd_rig.core.errors import EvaluationError
+from irpmd_rig.core.errors import EvaluationError, FramesError
 
 from .scene import FRAME, RAYS, TABLE_2, on_plane, stepped_depth
 
@@ -81,11 +81,17 @@ def test_influences_add_in_quadrature_and_only_their_differences_count():
 def test_a_curved_facet_is_not_called_a_plane():
     x, y, _ = on_plane(0.0, (0.0, 0.0))
     depth, _ = stepped_depth((4.0,), noise_mm=0.02)
-    depth = depth + np.where(y > 0, x**2 / 400, 0.0)
+    depth = depth + np.where(y > 0, (x - 36) ** 2 / 2000, 0.0)
     facets, planes = measured(depth)
     assert [plane.flat for plane in planes].count(False) == 1
     with pytest.raises(EvaluationError, match="curved"):
         step_heights(planes, facets)
+
+
+def test_maps_of_different_size_are_refused():
+    depth, _ = stepped_depth(noise_mm=0.02)
+    with pytest.raises(FramesError, match="of one size"):
+        fit_facets(depth[:-1], find_facets(depth), FRAME, RAYS)
 
 
 def test_one_facet_has_no_step():

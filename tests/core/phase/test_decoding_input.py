@@ -1,5 +1,7 @@
 """Frames as other people hold them: any size, layout, type; and what is refused."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from fringe_reference import columns, fringes
@@ -110,6 +112,50 @@ def test_an_earlier_result_lends_its_memory():
         decode(frames[:, :, :9], COUNTS, out=earlier)
 
 
+@pytest.mark.parametrize(
+    ("name", "array", "says"),
+    [
+        ("phase_rad", np.zeros((37, 100), np.float32), "shape"),
+        ("modulation_dn", np.zeros(37 * 203, np.float32), "shape"),
+        ("valid", np.zeros((203, 37), np.bool_), "shape"),
+        ("phase_rad", np.zeros((37, 203)), "float32, got float64"),
+        ("modulation_dn", np.zeros((37, 203), ">f4"), "float32, got >f4"),
+        ("valid", np.zeros((37, 203), np.uint8), "bool.*, got uint8"),
+        ("phase_rad", np.zeros((203, 37), np.float32).T, "C-contiguous"),
+        ("valid", read_only(np.zeros((37, 203), np.bool_)), "writeable"),
+        ("phase_rad", unaligned(np.zeros((37, 203), np.float32)), "aligned"),
+        ("modulation_dn", None, "array"),
+    ],
+)
+def test_an_earlier_result_that_cannot_be_overwritten_is_refused(name, array, says):
+    earlier = dataclasses.replace(decode(scene(), COUNTS), **{name: array})
+    with pytest.raises(MeasurementError, match=says):
+        decode(scene(), COUNTS, out=earlier)
+
+
+@pytest.mark.parametrize("out", [{}, "earlier", np.zeros((37, 203), np.float32)])
+def test_only_a_result_lends_its_memory(out):
+    with pytest.raises(MeasurementError, match="out must be a result of decode"):
+        decode(scene(), COUNTS, out=out)
+
+
+@pytest.mark.parametrize("given", [lambda f: f, list, lambda f: [list(s) for s in f]])
+def test_masked_values_are_refused_and_an_empty_mask_is_none(given):
+    frames = np.ma.array(scene())
+    assert_same(decode(given(frames), COUNTS), decode(scene(), COUNTS))
+    frames[1, 2, 3, 4] = np.ma.masked
+    for call in (lambda f: decode(f, COUNTS), wrapped_phases):
+        with pytest.raises(FramesError, match="fill them or drop the mask"):
+            call(given(frames))
+
+
+@pytest.mark.parametrize("response", ["gamma", 2.2, ([0, 255], [0, 1]), CameraResponse])
+def test_a_response_of_another_type_is_refused(response):
+    for call in (lambda r: decode(scene(), COUNTS, response=r), lambda r: wrapped_phases(scene(), response=r)):
+        with pytest.raises(MeasurementError, match="response must be a CameraResponse"):
+            call(response)
+
+
 def test_the_result_is_typed_and_frozen():
     absolute = decode(scene(), COUNTS)
     assert isinstance(absolute, AbsolutePhase)
@@ -168,6 +214,13 @@ def test_a_value_above_ten_bits_asks_for_the_saturation(response):
         ((64, 63, 0), "optimum", "above 0"),
         ((64, 63, np.nan), "optimum", "above 0"),
         ("abc", "optimum", "above 0"),
+        (("64", "63", "56"), "optimum", "above 0"),
+        ((8, 7, True), "optimum", "above 0"),
+        ((64, 63, 56j), "optimum", "above 0"),
+        (((64, 63), 56, 1), "optimum", "above 0"),
+        ({64: 0, 63: 0, 56: 0}, "optimum", "above 0"),
+        (None, "optimum", "above 0"),
+        ((1e308, 64, 1), "hierarchical", "at most 16384"),
         ((1.1, 4, 16), "hierarchical", "at most 1 period"),
     ],
 )
@@ -190,11 +243,14 @@ def test_one_set_alone_is_for_hierarchical_unwrapping_only():
     ("options", "says"),
     [
         ({"unwrapping": "spatial"}, "'optimum' or 'hierarchical'"),
+        ({"unwrapping": np.array(["optimum", "optimum"])}, "'optimum' or 'hierarchical'"),
         ({"threads": 0}, "threads"),
         ({"threads": 1.5}, "threads"),
         ({"threads": True}, "threads"),
         ({"saturation_dn": 0}, "saturation_dn"),
         ({"saturation_dn": np.nan}, "saturation_dn"),
+        *[({"saturation_dn": bad}, "saturation_dn") for bad in ("255", True, 255j, [255], np.inf, -1, 1e300)],
+        *[({"min_modulation_dn": bad}, "min_modulation_dn") for bad in ("9", True, 9j, [9], np.inf, 1e300)],
         ({"min_modulation_dn": -1}, "min_modulation_dn"),
         ({"min_modulation_dn": np.nan}, "min_modulation_dn"),
     ],

@@ -31,6 +31,8 @@ def test_a_response_cannot_be_changed_afterwards():
     ("camera", "linear", "says"),
     [
         ([0], [0], "at least 2"),
+        ("abc", [0, 1], "camera_values .* list of numbers"),
+        ([0, 1], [0, [1, 2]], "linear_values .* list of numbers"),
         ([0, 1, 2], [0, 1], "same length"),
         ([[0, 1]], [[0, 1]], "1-D"),
         ([0, np.nan], [0, 1], "finite"),

@@ -90,9 +90,11 @@ def test_precision_follows_the_input():
     ("d_mm", "delta_d_mm", "says"),
     [
         (0.0, 40.0, "positive distance"),
-        (np.nan, 40.0, "positive distance"),
+        (np.nan, 40.0, "d_mm must be a finite number"),
+        ("180", 40.0, "d_mm must be a finite number"),
+        (180.0, None, "delta_d_mm must be a finite number"),
         (180.0, 0.0, "other than 0"),
-        (180.0, np.inf, "other than 0"),
+        (180.0, np.inf, "delta_d_mm must be a finite number"),
         (180.0, -180.0, "through the glass"),
     ],
 )
@@ -102,8 +104,23 @@ def test_impossible_distances_are_refused(d_mm, delta_d_mm, says):
         direct_depth(phase, phase, phase, phase, d_mm=d_mm, delta_d_mm=delta_d_mm)
 
 
-@pytest.mark.parametrize("odd", [np.ones((2, 3)), np.ones(4), np.ones((2, 2), complex), np.array([["a", "b"]])])
+@pytest.mark.parametrize(
+    "odd", [np.ones((2, 3)), np.ones(4), np.ones((2, 2), complex), np.array([["a", "b"]]), [[1, 2], [3]]]
+)
 def test_maps_of_another_shape_or_type_are_refused(odd):
     phase = np.ones((2, 2))
     with pytest.raises(FramesError):
         direct_depth(phase, phase, phase, odd, d_mm=1.0, delta_d_mm=1.0)
+
+
+def test_masked_pixels_are_unknown_ones():
+    maps = [np.full((1, 2), value) for value in (10.0, 8.0, 5.0, 3.5)]
+    maps[2] = np.ma.masked_array(maps[2], [[False, True]])
+    h = direct_depth(*maps, d_mm=100.0, delta_d_mm=10.0)
+    assert np.isfinite(h[0, 0])
+    assert np.isnan(h[0, 1])
+
+
+def test_a_height_behind_the_glass_is_no_height():
+    maps = [np.full((1, 1), value) for value in (100.0, 80.0, 100.0, 120.000001)]
+    assert np.isnan(direct_depth(*maps, d_mm=180.0, delta_d_mm=40.0)).all()
