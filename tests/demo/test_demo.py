@@ -1,5 +1,6 @@
 """The whole chain from rendered, noisy frames, at a quarter of the paper's resolution."""
 
+import io
 import json
 
 import cv2
@@ -52,11 +53,9 @@ def test_everything_is_written(aligned):
 
 
 def test_the_tables_show_truth_and_paper_beside_the_measurement(aligned):
-    console = Console(record=True, width=160, quiet=True)
-    console.quiet = False
-    with console.capture():
-        aligned.print(console)
-    shown = console.export_text()
+    printed = io.StringIO()
+    aligned.print(Console(file=printed, width=100))
+    shown = printed.getvalue()
     for text in ("3.9868", "4.0081", "+21.3", "truth", "sigma"):
         assert text in shown
 
@@ -68,8 +67,9 @@ def test_a_seed_gives_the_same_measurement_again_and_another_seed_another(tmp_pa
 
     first = steps(11)
     assert len(first) == 4
-    assert steps(11) == first
-    assert steps(12) != first
+    # Equal but for the order in which threads add numbers up.
+    assert steps(11) == pytest.approx(first, abs=1e-9)
+    assert np.abs(np.subtract(steps(12), first)).max() > 1e-4
 
 
 def test_an_unknown_object_is_refused(tmp_path):
