@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -125,17 +126,18 @@ def find_corners(image: NDArray[np.uint8] | NDArray[np.uint16], board: Checkerbo
     FramesError
         For an image that is not a single grey frame.
     """
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or min(image.shape) < _SMALLEST_IMAGE_PX:
+    picture: NDArray[Any] = np.asarray(image)
+    if picture.ndim != 2 or picture.dtype not in (np.uint8, np.uint16) or min(picture.shape) < _SMALLEST_IMAGE_PX:
         raise FramesError(
             f"a board image must be (H, W) uint8 or uint16 of at least {_SMALLEST_IMAGE_PX} px a side, "
-            f"not {image.shape} {image.dtype}"
+            f"not {picture.shape} {picture.dtype}"
         )
-    grey = image
-    if image.dtype == np.uint16:
-        grey = (image * (255.0 / max(int(image.max()), 1))).astype(np.uint8)
+    grey = picture
+    if picture.dtype == np.uint16:
+        grey = (picture * (255.0 / max(int(picture.max()), 1))).astype(np.uint8)
     rows, columns = board.inner_corners
     # Detection needs no fine pixels, the refinement does: a board fills hundreds of them.
-    scale = max(1, min(image.shape) // 700)
+    scale = max(1, min(picture.shape) // 700)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     found, corners = cv2.findChessboardCorners(
         small, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -194,18 +196,22 @@ def calibrate_camera(
     """
     board = board or Checkerboard()
     whole_number("threads", threads, least=1)
-    if len({image.shape for image in images}) > 1:
-        raise FramesError(f"board images differ in size: {sorted({i.shape for i in images})}")
+    try:
+        frames: list[NDArray[Any]] = [np.asarray(image) for image in images]
+    except (TypeError, ValueError) as error:
+        raise FramesError(f"board images must be a sequence of (H, W) frames: {error}") from None
+    if len({frame.shape for frame in frames}) > 1:
+        raise FramesError(f"board images differ in size: {sorted({frame.shape for frame in frames})}")
     with ThreadPoolExecutor(threads) as pool:
-        corners = list(pool.map(lambda image: find_corners(image, board), images))
+        corners = list(pool.map(lambda frame: find_corners(frame, board), frames))
     views = [(view, c) for view, c in enumerate(corners) if c is not None]
     if len(views) < FEWEST_BOARDS:
         raise CalibrationError(
-            f"the board of {board.inner_corners} inner corners was found in {len(views)} of {len(images)} images; "
+            f"the board of {board.inner_corners} inner corners was found in {len(views)} of {len(frames)} images; "
             f"at least {FEWEST_BOARDS} are needed: check focus, exposure and that all corners are in the picture"
         )
-    height, width = images[0].shape
-    return _bundle_adjust(views, board, (width, height), len(images))
+    height, width = frames[0].shape
+    return _bundle_adjust(views, board, (width, height), len(frames))
 
 
 def _bundle_adjust(

@@ -131,16 +131,20 @@ def fit_plate_relation(
     """
     if order is not None:
         whole_number("order", order, least=1)
+    try:
+        positions = np.asarray(positions_mm, dtype=np.float64)
+        maps = [np.asarray(phase) for phase in phases_rad]
+    except (TypeError, ValueError) as error:
+        raise FramesError(f"the plate relation wants phase maps (positions, H, W) and numbers: {error}") from None
     if isinstance(phases_rad, np.ndarray):
         stack = phases_rad
-    elif len({np.shape(phase) for phase in phases_rad}) == 1:
-        stack = np.stack([np.asarray(phase) for phase in phases_rad])
+    elif len({phase.shape for phase in maps}) == 1:
+        stack = np.stack(maps)
     else:
-        raise FramesError(f"the plate's phase maps differ in shape: {sorted({np.shape(p) for p in phases_rad})}")
+        raise FramesError(f"the plate's phase maps differ in shape: {sorted({phase.shape for phase in maps})}")
     if stack.dtype.kind != "f":
         raise FramesError(f"the plate's phase maps must be floating-point numbers, not {stack.dtype}")
     stack = stack.astype(np.float32, copy=False)
-    positions = np.asarray(positions_mm, dtype=np.float64)
     if stack.ndim != 3 or positions.shape != (len(stack),) or not np.all(np.isfinite(positions)):
         raise FramesError(
             f"the plate relation wants one finite position a map, (positions, H, W): "

@@ -100,5 +100,8 @@ def test_what_cannot_be_calibrated_is_said():
         calibrate_camera([flat, flat[:100]])
     with pytest.raises(FramesError, match="uint8 or uint16"):
         find_corners(np.zeros((5, 5, 3), np.uint8), BOARD)
+    for odd in (None, [None] * 3, ["a"] * 3, [np.zeros((1, 1), np.uint8)] * 3):
+        with pytest.raises(FramesError):
+            calibrate_camera(odd)
     with pytest.raises(CalibrationError, match="3 x 3"):
         Checkerboard((2, 5), 10.0)

@@ -116,3 +116,9 @@ def test_other_float_types_are_taken_and_others_refused():
         fit_plate_relation(stack().astype(complex), POSITIONS, order=3)
     with pytest.raises(MeasurementError, match="threads"):
         fit_plate_relation(stack(), POSITIONS, order=3, threads=0)
+
+
+@pytest.mark.parametrize(("phases", "positions"), [(None, [1, 2]), (np.zeros((4, 5, 5), np.float32), "abcd")])
+def test_what_is_no_map_or_number_is_refused(phases, positions):
+    with pytest.raises(FramesError, match="wants phase maps"):
+        fit_plate_relation(phases, positions)
