@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from irpmd_rig.core.arguments import is_integer, is_listed
 from irpmd_rig.core.errors import FramesError
-from irpmd_rig.core.phase.arguments import fringe_counts, is_integer, is_listed
+from irpmd_rig.core.phase.arguments import fringe_counts
 
 _TOP = 254
 """Brightest value shown: one short of 255, so that the images themselves decode without saturated pixels."""

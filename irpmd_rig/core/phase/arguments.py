@@ -1,44 +1,17 @@
-"""What callers hand in: numbers, fringe counts and frames, refused with one typed error where they are none."""
+"""Fringe counts and frames as callers hand them in, refused with one typed error where they are none."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from numbers import Real
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from irpmd_rig.core.errors import CountsError, FramesError, MeasurementError
+from irpmd_rig.core.arguments import is_listed, is_real
+from irpmd_rig.core.errors import CountsError, FramesError
 
 MOST_FRINGES = 16384
 """Largest fringe count: one for each column of the widest projector image."""
-
-BEYOND = 1e30
-"""Values and thresholds of this size would overflow float32 in the arithmetic."""
-
-
-def is_integer(value: object) -> TypeGuard[int]:
-    """Whether a value is a whole number by type; a bool is none."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def is_real(value: object) -> TypeGuard[float]:
-    """Whether a value is a real number by type; a bool is none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def is_listed(value: object) -> TypeGuard[Sequence[object]]:
-    """Whether a value has elements in an order."""
-    return isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
-
-
-def checked_number(name: str, value: object, *, zero: bool = True) -> float:
-    """Return a threshold as a float; raises MeasurementError unless it is finite and above zero (or zero)."""
-    if not is_real(value) or not 0 <= value < BEYOND or (value == 0 and not zero):
-        least = "of at least 0" if zero else "above 0"
-        raise MeasurementError(f"{name} must be a number {least} and below {BEYOND:g}, got {value!r}")
-    return float(value)
 
 
 def fringe_counts(counts: object) -> npt.NDArray[np.float64]:

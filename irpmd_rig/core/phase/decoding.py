@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from irpmd_rig.core.arguments import checked_number, is_integer
 from irpmd_rig.core.errors import FramesError, MeasurementError
 from irpmd_rig.core.phase._kernels import BLOCK, Gates, Maps, Rungs, decode_pixels, wrap_pixels
-from irpmd_rig.core.phase.arguments import checked_number, is_integer
 from irpmd_rig.core.phase.counts import RESIDUAL_MARGIN_TURNS, Ladder, checked_counts, ladder
 from irpmd_rig.core.phase.frames import Frames, Values, checked_frames, chunk_count, chunks
 from irpmd_rig.core.phase.noise import estimate_noise, sample_cells

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from irpmd_rig.core.arguments import BEYOND, checked_number
 from irpmd_rig.core.errors import FramesError, MeasurementError
 from irpmd_rig.core.phase._kernels import largest_bits
-from irpmd_rig.core.phase.arguments import BEYOND, checked_number, frame_array
+from irpmd_rig.core.phase.arguments import frame_array
 from irpmd_rig.core.phase.response import CameraResponse
 
 Values = npt.NDArray[Any]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from irpmd_rig.core.phase.arguments import checked_number
+from irpmd_rig.core.arguments import checked_number
 from irpmd_rig.core.quality.examination import Examination
 from irpmd_rig.core.quality.report import FrameFinding, FrameReport
 from irpmd_rig.core.quality.sampling import Sample, checked_frames, full_scale_dn, take_sample

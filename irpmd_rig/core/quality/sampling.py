@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from irpmd_rig.core.arguments import checked_number
 from irpmd_rig.core.errors import CountsError, FramesError
-from irpmd_rig.core.phase.arguments import checked_number, frame_array, fringe_counts
+from irpmd_rig.core.phase.arguments import frame_array, fringe_counts
 
 Floats = NDArray[np.float64]
 
