@@ -22,12 +22,48 @@ def world_file(name_or_path: str) -> Path:
     FileNotFoundError
         If there is neither; the message lists the shipped names.
     """
+    return _found("world", name_or_path, shipped_worlds())
+
+
+def shipped_rigs() -> dict[str, Path]:
+    """Shipped rig files by name."""
+    return {path.stem: path for path in sorted((CONFIGS / "rigs").glob("*.yaml"))}
+
+
+def rig_file(name_or_path: str) -> Path:
+    """File of a rig given by path or by the name of a shipped one.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is neither; the message lists the shipped names.
+    """
+    return _found("rig", name_or_path, shipped_rigs())
+
+
+def shipped_recipes() -> dict[str, Path]:
+    """Shipped recipes by name."""
+    return {path.stem: path for path in sorted((CONFIGS / "recipes").glob("*.yaml"))}
+
+
+def recipe_file(name_or_path: str) -> Path:
+    """File of a recipe given by path or by the name of a shipped one.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is neither; the message lists the shipped names.
+    """
+    return _found("recipe", name_or_path, shipped_recipes())
+
+
+def _found(kind: str, name_or_path: str, shipped: dict[str, Path]) -> Path:
     path = Path(name_or_path)
     if path.is_file():
         return path
-    shipped = shipped_worlds()
-    if name_or_path.removesuffix(".yaml") in shipped:
-        return shipped[name_or_path.removesuffix(".yaml")]
+    name = name_or_path.removesuffix(".yaml")
+    if name in shipped:
+        return shipped[name]
     raise FileNotFoundError(
-        f"no world file {name_or_path!r}: give a path or one of the shipped worlds {', '.join(shipped)}"
+        f"no {kind} file {name_or_path!r}: give a path or one of the shipped {kind}s {', '.join(shipped)}"
     )

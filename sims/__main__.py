@@ -2,13 +2,19 @@
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sims.bench import bench_render
-from sims.errors import WorldError
+from sims.errors import SimulationError, WorldError
+from sims.process.instruments import Conditions, Dialect
+from sims.process.lone_camera import serve_camera
+from sims.process.serve import Options, chosen_world, serve
+from sims.process.truth_file import write_truth
 from sims.world import World, load_world
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
@@ -50,12 +56,61 @@ def render_bench(
         )
 
 
-def _load(path: Path) -> World:
+@app.command(name="serve")
+def serve_world(
+    world: Annotated[Path, typer.Argument(help="World file.")],
+    folder: Annotated[Path, typer.Option(help="Where producer, sockets and serial ports appear; made if need be.")],
+    seed: Annotated[int | None, typer.Option(help="Another seed than the world's.")] = None,
+    size_px: Annotated[int | None, typer.Option(help="Columns of the camera.")] = None,
+    time_scale: Annotated[float, typer.Option(min=0.01, max=1000, help="Seconds of the world a second.")] = 1.0,
+    stages: Annotated[Dialect, typer.Option(help="What the controllers of the stages speak.")] = "gsc",
+    replay: Annotated[bool, typer.Option("--replay", help="Give frames of a rehearsal back: for speed alone.")] = False,
+    faults: Annotated[Path | None, typer.Option(help="Script of faults.")] = None,
+    until_stdin_closes: Annotated[bool, typer.Option("--until-stdin-closes", help="End with standard input.")] = False,
+) -> None:
+    """Serve the instruments of a world until SIGTERM."""
+    conditions = Conditions(stages, time_scale, replay)
+    options = Options(world, folder, seed, size_px, conditions, faults, until_stdin_closes)
+    with _complaining():
+        serve(options)
+
+
+@app.command()
+def truth(
+    world: Annotated[Path, typer.Argument(help="World file.")],
+    name: Annotated[str, typer.Option("--object", help="Object of the world.")],
+    out: Annotated[Path, typer.Option(help="File to write (.npz).")],
+    seed: Annotated[int | None, typer.Option(help="Another seed than the world's.")] = None,
+    size_px: Annotated[int | None, typer.Option(help="Columns of the camera.")] = None,
+) -> None:
+    """Write what a measurement of an object should find: points, facets, steps, distances."""
+    with _complaining():
+        write_truth(chosen_world(world, seed, size_px), name, out)
+
+
+@app.command()
+def camera(
+    folder: Annotated[Path, typer.Argument(help="Where the producer appears; made if need be.")],
+    size_px: Annotated[int, typer.Option(min=64, max=8192, help="Rows and columns.")] = 2048,
+    unpaced: Annotated[bool, typer.Option("--unpaced", help="As fast as frames are taken.")] = False,
+) -> None:
+    """Serve a camera alone that sees random pictures, until standard input closes: for benches."""
+    with _complaining():
+        serve_camera(folder, size_px, paced=not unpaced)
+
+
+@contextmanager
+def _complaining() -> Iterator[None]:
     try:
-        return load_world(path)
-    except WorldError as error:
+        yield
+    except (WorldError, SimulationError) as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
+
+
+def _load(path: Path) -> World:
+    with _complaining():
+        return load_world(path)
 
 
 if __name__ == "__main__":

@@ -148,12 +148,16 @@ class Glass(Part):
 
 
 class Stage1(Part):
-    """Carries camera, mirror and objects; positive, (0, 0, -1) before the tilts, is away from the glass."""
+    """Carries camera, mirror and objects; positive, (0, 0, -1) before the tilts, is away from the glass.
+
+    `backlash_um` is the play of its drive as its controller meets it.
+    """
 
     axis_tilt_about_x_deg: SmallTilt
     axis_tilt_about_y_deg: SmallTilt
     travel_mm: Vector2
     position_noise_um: NonNegative
+    backlash_um: NonNegative = 0.0
     scale_error_ppm: Annotated[float, Field(ge=-1e5, le=1e5)]
 
     @model_validator(mode="after")
@@ -177,6 +181,7 @@ class Stage2(Part):
     plate_tilt_about_x_deg: SmallTilt
     plate_tilt_about_y_deg: SmallTilt
     position_noise_um: NonNegative
+    backlash_um: NonNegative = 0.0
 
 
 class Mirror(Part):

@@ -1,6 +1,5 @@
 """The simulated rig as whoever runs it sees it: put something in place, move, show, take a frame."""
 
-from collections import OrderedDict
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Literal
 
@@ -9,16 +8,14 @@ from numpy.typing import NDArray
 
 from sims.boards import board_pose
 from sims.errors import SimulationError
-from sims.optics import LightMap, Trace, light_map, trace
+from sims.maps import LightMaps
+from sims.optics import LightMap, Trace, trace
 from sims.render import exposure, projected_light, render
 from sims.setup import Setup
 from sims.surfaces import SUBJECTS
 
 if TYPE_CHECKING:
     from sims.world import World
-
-# A map of a 2048 x 2048 camera takes 67 MB; a measurement goes to and fro between few setups.
-_MAPS_KEPT = 3
 
 
 class SimulatedRig:
@@ -53,7 +50,7 @@ class SimulatedRig:
         self._picture = projected_light(self.world.projector, None)
         self._moves = np.random.default_rng([self.world.seed, 0x57A6E])
         self._frames = 0
-        self._maps: OrderedDict[Setup, LightMap] = OrderedDict()
+        self._maps = LightMaps(self.world)
 
     @property
     def setup(self) -> Setup:
@@ -207,13 +204,7 @@ class SimulatedRig:
 
     def light_map(self) -> LightMap:
         """Light map of the present setup, traced once and kept for the last few setups."""
-        found = self._maps.pop(self._setup, None)
-        if found is None:
-            while len(self._maps) >= _MAPS_KEPT:
-                self._maps.popitem(last=False)
-            found = light_map(self.world, self._setup)
-        self._maps[self._setup] = found
-        return found
+        return self._maps.of(self._setup)
 
     def _change(self, **what: object) -> None:
         present = {name: getattr(self._setup, name) for name in Setup.__slots__}

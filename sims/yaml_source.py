@@ -71,7 +71,7 @@ def read(path: Path) -> Source:
             raise
         raise WorldError(f"{path.name}: a value cannot be read: {error}") from None
     if not isinstance(tree, CommentedMap):
-        raise WorldError(f"{path.name}:1:1: a world file is a mapping of keys to values")
+        raise WorldError(f"{path.name}:1:1: the file must be a mapping of keys to values")
     return Source(path.name, _plain(tree), tree)
 
 
@@ -107,7 +107,7 @@ def _refuse_unsafe(name: str, text: str) -> None:
         if depth > DEPTH_LIMIT:
             raise WorldError(f"{place}: is nested deeper than {DEPTH_LIMIT} levels")
         if documents > 1:
-            raise WorldError(f"{place}: a world file holds one document")
+            raise WorldError(f"{place}: the file must hold one document")
 
 
 def _place(name: str, error: YAMLError) -> str:

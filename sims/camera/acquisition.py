@@ -260,8 +260,9 @@ class Acquisition:
             settings.pixel_format.pack(image, memory, settings.line_padding_bytes)
 
         sink = self._sink()
+        lossless = self._settings.lossless or not self._settings.paced
         frame = Frame(frame_id, exposure.start_s, settings, share, pack)
-        if sink is not None and sink.send(frame, self._ended, lossless=not self._settings.paced):
+        if sink is not None and sink.send(frame, self._ended, lossless=lossless):
             self.counters.transferred += 1
         else:
             self.counters.skipped += 1

@@ -19,7 +19,9 @@ class CameraSettings:
     """What a simulated camera is, and how it is served; fixed for its lifetime.
 
     `paced` cameras keep the sensor's times on their clock; others run as fast as the computer takes frames,
-    without losing one. `exposure_us` are the limits of the exposure (not an xiQ's: those are not known).
+    without losing one. A paced one that is `lossless` waits for a computer that is too slow: where pictures take
+    longer than the sensor's times, or the clock is fast, the computer is not to blame. `exposure_us` are the
+    limits of the exposure (not an xiQ's: those are not known).
     """
 
     size_px: tuple[int, int] = (2048, 2048)
@@ -29,6 +31,7 @@ class CameraSettings:
     exposure_us: tuple[float, float] = (10.0, 1_000_000.0)
     line_padding_bytes: int = 0
     paced: bool = True
+    lossless: bool = False
     timing: SensorTiming = field(default_factory=SensorTiming)
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from sims.camera.acquisition import Frame
 from sims.camera.wire import FrameKind, FrameRecord, Operation, Request
 
-SLOTS = 4
+SLOTS = 16
+"""Frames on their way: the real camera writes into the client's memory by itself, so that a client which is not
+run for a moment (177 ms at full rate) must not lose what it has room for."""
 LOOK_S = 0.05
 PAGE_BYTES = mmap.PAGESIZE
 

@@ -27,7 +27,8 @@ class PlanePattern:
 _PIXELS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little").view(np.uint64)[:, 0]
 
 
-@lru_cache(maxsize=8)
+# As many as a burst shows.
+@lru_cache(maxsize=32)
 def _compose(planes: tuple[bytes, ...]) -> Image:
     # Eight pixels at a time: no bit leaves its byte, for there are at most eight planes.
     eights = np.zeros(PLANE_BYTES, np.uint64)

@@ -105,6 +105,11 @@ class LightCommander(Projection, UsbDevice):
         self._last_byte_s = time.monotonic()
         self._operations = self._make_operations()
 
+    @property
+    def parked(self) -> bool:
+        """Whether its mirrors are parked."""
+        return self._box.parked
+
     def external_trigger(self, time_s: float, *, rising: bool = True) -> None:
         """Give the box an edge at its trigger input."""
         self._box.external_trigger(time_s, rising=rising)

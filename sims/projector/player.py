@@ -211,9 +211,7 @@ class Player:
 
     def shown_at(self, time_s: float) -> Shown:
         """Return what is shown at a time; a running programme is dark between its exposures."""
-        with self._lock:
-            light = self._lights[bisect_right(self._lights, time_s, key=_start) - 1]
-        levels = {led: level for led, level in light.levels.items() if level > 0}
+        levels = self.lights_at(time_s)
         programme, index = self._place(time_s)
         if index is not None and programme.leds:
             levels = {led: level for led, level in levels.items() if led in programme.leds[index]}
@@ -222,6 +220,22 @@ class Player:
             return NOTHING
         image = None if index is None else programme.patterns[index].image()
         return Shown(image, "+".join(levels), max(levels.values()))
+
+    def lights_at(self, time_s: float) -> dict[str, float]:
+        """Return the levels, above 0, of the LEDs that may be lit at a time, whatever is on the mirrors."""
+        with self._lock:
+            light = self._lights[bisect_right(self._lights, time_s, key=_start) - 1]
+        return {led: level for led, level in light.levels.items() if level > 0}
+
+    def lit_last(self, time_s: float) -> str | None:
+        """Return the LEDs that are lit at a time, or were lit last before it, joined by "+"; None if none ever was."""
+        with self._lock:
+            known = self._lights[: bisect_right(self._lights, time_s, key=_start)]
+        for light in reversed(known):
+            lit = [led for led, level in light.levels.items() if level > 0]
+            if lit:
+                return "+".join(lit)
+        return None
 
     def intervals(self, start_s: float, end_s: float) -> list[tuple[float, float, Shown]]:
         """Return what is shown from `start_s` to `end_s`, as (start, end, shown) without gaps.
@@ -238,7 +252,8 @@ class Player:
 
     def _changes(self, start_s: float, end_s: float) -> Iterator[float]:
         with self._lock:
-            lights, programmes = list(self._lights), list(self._programmes)
+            first = bisect_right(self._programmes, start_s, key=_start) - 1
+            lights, programmes = list(self._lights), self._programmes[max(first, 0) :]
         yield from (light.start_s for light in lights if start_s < light.start_s < end_s)
         for programme, following in zip_longest(programmes, programmes[1:]):
             until_s = min(end_s, following.start_s if following else math.inf)

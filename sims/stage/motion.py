@@ -7,6 +7,7 @@ ringing after a stop. Nothing here has a thread: a position is computed for the 
 
 import math
 import threading
+from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,8 +15,11 @@ import numpy as np
 
 from sims.clock import WorldClock
 
-# The carriage counts as settled when its ringing has decayed to this amplitude.
+# The carriage counts as settled when its ringing has decayed to this amplitude: from there on it stands still, so
+# that who asks where it is gets one answer.
 SETTLED_MM = 0.0005
+# Changes of motion that are remembered.
+REMEMBERED = 64
 
 Outcome = Literal["done", "limit", "stalled", "stopped"]
 
@@ -149,6 +153,16 @@ class _Carriage:
     faults: MoveFaults = field(default_factory=MoveFaults)
 
 
+@dataclass(frozen=True, slots=True)
+class _Past:
+    """How the axis moved until `until_s`."""
+
+    until_s: float
+    movement: Movement
+    carriage: _Carriage
+    moved: bool
+
+
 class Axis:
     """One axis: moved by its controller, asked by the world.
 
@@ -179,6 +193,7 @@ class Axis:
         self._movement = Movement(clock.now(), settings.start_mm, 1.0, (), 0.0)
         self._moved = False
         self._carriage = _Carriage()
+        self._past: deque[_Past] = deque(maxlen=REMEMBERED)
 
     @property
     def faults(self) -> MoveFaults:
@@ -251,8 +266,13 @@ class Axis:
     @property
     def true_mm(self) -> float:
         """Where the carriage is now."""
+        return self.true_mm_at(self._clock.now())
+
+    def true_mm_at(self, time_s: float) -> float:
+        """Where the carriage was at a time that is not long over, or is now."""
         with self._lock:
-            return self._true_mm(self._clock.now())
+            then = next((past for past in self._past if time_s < past.until_s), None)
+            return self._true_mm(time_s, then or _Past(math.inf, self._movement, self._carriage, self._moved))
 
     def _start(self, movement: Movement, faults: MoveFaults) -> None:
         carriage, settings = self._carriage, self.settings
@@ -281,9 +301,10 @@ class Axis:
     def _come_to_rest(self) -> None:
         """Make the present state the start of what follows."""
         now_s = self._clock.now()
-        carriage = self._carriage
-        fraction = self._fraction(now_s)
-        carriage.play_mm = self._play_mm(now_s)
+        carriage, movement = self._carriage, self._movement
+        self._past.append(_Past(now_s, movement, replace(carriage), self._moved))
+        fraction = _fraction(movement, now_s)
+        carriage.play_mm = self._play_mm(now_s, carriage, movement)
         carriage.slip_mm += (carriage.next_slip_mm - carriage.slip_mm) * fraction
         carriage.noise_mm += (carriage.next_noise_mm - carriage.noise_mm) * fraction
         carriage.next_slip_mm, carriage.next_noise_mm = carriage.slip_mm, carriage.noise_mm
@@ -291,33 +312,33 @@ class Axis:
         self._movement = Movement(now_s, self._movement.position_mm(now_s), 1.0, (), 0.0, outcome)
         self._moved = False
 
-    def _fraction(self, time_s: float) -> float:
-        length_mm = self._movement.length_mm
-        if length_mm == 0:
-            return 1.0
-        return self._movement.travelled(time_s - self._movement.start_s)[0] / length_mm
-
-    def _play_mm(self, time_s: float) -> float:
+    def _play_mm(self, time_s: float, carriage: _Carriage, movement: Movement) -> float:
         """Return how far the load is ahead of the screw: pushed it sits on it, pulled it trails."""
-        travelled_mm = self._movement.sign * self._movement.travelled(time_s - self._movement.start_s)[0]
-        return min(max(self._carriage.play_mm - travelled_mm, 0.0), self.settings.backlash_um / 1000)
+        travelled_mm = movement.sign * movement.travelled(time_s - movement.start_s)[0]
+        return min(max(carriage.play_mm - travelled_mm, 0.0), self.settings.backlash_um / 1000)
 
-    def _true_mm(self, time_s: float) -> float:
-        carriage = self._carriage
-        fraction = self._fraction(time_s)
+    def _true_mm(self, time_s: float, then: _Past) -> float:
+        carriage, movement = then.carriage, then.movement
+        fraction = _fraction(movement, time_s)
         slip_mm = carriage.slip_mm + (carriage.next_slip_mm - carriage.slip_mm) * fraction
         noise_mm = carriage.noise_mm + (carriage.next_noise_mm - carriage.noise_mm) * fraction
-        at_mm = self._movement.position_mm(time_s) + slip_mm + self._play_mm(time_s) + noise_mm
-        return at_mm + self._ringing_mm(time_s)
+        at_mm = movement.position_mm(time_s) + slip_mm + self._play_mm(time_s, carriage, movement) + noise_mm
+        return at_mm + (self._ringing_mm(time_s, movement) if then.moved else 0.0)
 
-    def _ringing_mm(self, time_s: float) -> float:
-        settings, movement = self.settings, self._movement
+    def _ringing_mm(self, time_s: float, movement: Movement) -> float:
+        settings = self.settings
         since_s = time_s - movement.end_s
         amplitude_mm = settings.ringing_um / 1000
-        if not self._moved or since_s <= 0 or amplitude_mm <= SETTLED_MM or settings.settle_s <= 0:
+        if since_s <= 0 or amplitude_mm <= SETTLED_MM or settings.settle_s <= 0:
             return 0.0
-        peak_mm_s = max((ramp.start_mm_s for ramp in movement.ramps), default=0.0)
-        peak_mm_s = max(peak_mm_s, max((ramp.end_mm_s for ramp in movement.ramps), default=0.0))
+        peak_mm_s = max((max(ramp.start_mm_s, ramp.end_mm_s) for ramp in movement.ramps), default=0.0)
         decay_s = settings.settle_s / math.log(amplitude_mm / SETTLED_MM)
-        swing = math.exp(-since_s / decay_s) * math.sin(2 * math.pi * settings.ringing_hz * since_s)
-        return movement.sign * amplitude_mm * min(1.0, peak_mm_s / 20.0) * swing
+        reach_mm = amplitude_mm * min(1.0, peak_mm_s / 20.0) * math.exp(-since_s / decay_s)
+        if reach_mm <= SETTLED_MM:
+            return 0.0
+        return movement.sign * reach_mm * math.sin(2 * math.pi * settings.ringing_hz * since_s)
+
+
+def _fraction(movement: Movement, time_s: float) -> float:
+    length_mm = movement.length_mm
+    return 1.0 if length_mm == 0 else movement.travelled(time_s - movement.start_s)[0] / length_mm

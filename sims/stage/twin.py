@@ -113,6 +113,14 @@ class StageTwin:
         """Return where the carriage of an axis truly is now, with backlash, noise and ringing."""
         return self._axes[axis].true_mm
 
+    def position_mm_at(self, time_s: float, axis: int = 1) -> float:
+        """Return where the carriage of an axis truly was at a time that is not long over."""
+        return self._axes[axis].true_mm_at(time_s)
+
+    def moving(self, axis: int = 1) -> bool:
+        """Whether the controller drives the motor of an axis."""
+        return self._axes[axis].busy
+
     def start(self) -> None:
         """Make the line appear."""
         self._port.plug()

@@ -211,7 +211,8 @@ static GC_ERROR start(Stream *stream, uint64_t count) {
             close(memory);
         return fail(GC_ERR_IO, "the camera did not start the stream");
     }
-    void *ring = mmap(NULL, frame.offset, PROT_READ, MAP_SHARED | MAP_POPULATE, memory, 0);
+    /* Not populated: most of the ring is touched only by a client that lags behind. */
+    void *ring = mmap(NULL, frame.offset, PROT_READ, MAP_SHARED, memory, 0);
     close(memory);
     if (ring == MAP_FAILED)
         return fail(GC_ERR_OUT_OF_MEMORY, "no memory for the frames");
