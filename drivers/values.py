@@ -221,6 +221,16 @@ class SyncOutput:
 
 
 @dataclass(frozen=True, slots=True)
+class PatternTiming:
+    """One pair of times that `PatternSequence` may ask for, at so many bits and in these lights."""
+
+    exposure_us: float
+    period_us: float
+    bits: int
+    leds: tuple[Led, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ProjectorCapabilities:
     """What an opened projector can do; None: not known or not limited.
 
@@ -234,6 +244,8 @@ class ProjectorCapabilities:
         False: patterns live in the box (flash), and `load` is Unsupported.
     self_paced
         True: `run_once` and `repeat` run on the projector's own clock with sync pulses.
+    timings
+        The only times that `order` takes; None: it takes any that it can keep.
     unverified
         One line for each thing that is assumed about this model and was never checked on one.
     """
@@ -247,6 +259,7 @@ class ProjectorCapabilities:
     has_sync: bool
     can_park: bool
     unverified: tuple[str, ...] = ()
+    timings: tuple[PatternTiming, ...] | None = None
 
 
 class ProjectorCondition(StrEnum):

@@ -9,7 +9,7 @@ from drivers.camera.backend import NodeFailed, NodeRefused, Nodes
 from drivers.camera.options import CameraOptions
 from drivers.camera.pixels import BY_NAME
 from drivers.camera.ximea_nodes import Choice, Value
-from drivers.errors import Refused, TimedOut, Unsupported
+from drivers.errors import DeviceFault, Refused, TimedOut, Unsupported
 from drivers.values import CameraCapabilities, CameraSettings, Region, Trigger
 
 READY_LIMIT_S = 2.0
@@ -65,13 +65,24 @@ class CameraControl:
         choice = self._need(table.TEMPERATURE_C, "a temperature")
         return float(self._nodes.read(choice.name, fresh=True))
 
+    def check_temperature(self, limit_c: float | None) -> None:
+        """Raise DeviceFault where the camera tells a temperature above `limit_c`; None: do not look."""
+        if limit_c is None or self._find(table.TEMPERATURE_C) is None:
+            return
+        temperature_c = self.temperature_c()
+        if temperature_c > limit_c:
+            raise DeviceFault(
+                self._device,
+                f"the camera is too hot: {temperature_c:.1f} C, more than {limit_c:g} C",
+                "let it cool, and look at its mounting and the air around it; or raise hottest_c",
+            )
+
     def alive(self) -> bool:
         """Whether the camera answers."""
-        choice = self._find(table.ALIVE)
-        if choice is None:
-            return True
         try:
-            self._nodes.read(choice.name, fresh=True)
+            choice = self._find(table.ALIVE)
+            if choice is not None:
+                self._nodes.read(choice.name, fresh=True)
         except (NodeFailed, NodeRefused):
             return False
         return True

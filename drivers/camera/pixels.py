@@ -111,16 +111,18 @@ def _unpack_lsb(lines: NDArray[np.uint8], form: PixelFormat, out: NDArray[Any]) 
     groups = out.size // 4
     packed = np.zeros(groups * group_bytes + 8, np.uint8)
     packed[:-8].reshape(len(lines), -1)[:] = lines[:, : form.line_bytes(out.shape[1])]
+    words = out.reshape(-1).view(np.uint64)
     # Each word begins at its group and reaches into the next: what is too much is masked.
-    words = np.ndarray((groups,), "<u8", packed, 0, (group_bytes,)).astype(np.uint64)
+    np.copyto(words, np.ndarray((groups,), "<u8", packed, 0, (group_bytes,)))
     pair, single = (1 << 2 * bits) - 1, (1 << bits) - 1
-    words = words & np.uint64(pair) | words << np.uint64(32 - 2 * bits) & np.uint64(pair << 32)
-    even, odd = np.uint64(single | single << 32), np.uint64((single | single << 32) << bits)
-    spread = out.reshape(-1).view(np.uint64)
-    np.bitwise_and(words, odd, out=spread)
-    spread <<= np.uint64(16 - bits)
-    words &= even
-    spread |= words
+    upper = words << np.uint64(32 - 2 * bits)
+    upper &= np.uint64(pair << 32)
+    words &= np.uint64(pair)
+    words |= upper
+    np.bitwise_and(words, np.uint64((single | single << 32) << bits), out=upper)
+    upper <<= np.uint64(16 - bits)
+    words &= np.uint64(single | single << 32)
+    words |= upper
 
 
 def _unpack_grouped(lines: NDArray[np.uint8], form: PixelFormat, out: NDArray[Any]) -> None:

@@ -154,6 +154,7 @@ class Worker:
     def _arm(self, message: Message) -> Message:
         backend, control = self._camera
         self._stop()
+        control.check_temperature(self._options.hottest_c)
         name, width, height = control.frame_format()
         form = BY_NAME[name]
         values = width * height * form.channels
@@ -299,7 +300,7 @@ def _backend(device: str, settings: HarvestersSettings | AravisSettings) -> Back
         return HarvestersBackend(device, settings)
     except ImportError as error:
         raise ConfigurationError(
-            device, f"{error.name} is not installed", "pip install 'irpmd-rig[camera]'", ("driver",)
+            device, f"{error.name} is not installed", "pip install harvesters", ("driver",)
         ) from None
 
 

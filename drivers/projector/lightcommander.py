@@ -73,6 +73,7 @@ class LightCommander(PatternProjector):
             has_sync=self._screen is None,
             can_park=True,
             unverified=UNVERIFIED,
+            timings=self._memory.timings if self._memory else None,
         )
 
     # --- what the base asks for

@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError, Refused
 from drivers.projector.bitplanes import COLUMNS, PLANE_BYTES, PLANES, ROWS, pack
 from drivers.projector.sequence_file import SequenceFile
 from drivers.projector.ti_api import Result, Value
-from drivers.values import Led, PatternSequence
+from drivers.values import Led, PatternSequence, PatternTiming
 
 LOAD_BITS = 8
 LIMIT = PLANES // LOAD_BITS
@@ -64,6 +64,8 @@ class PatternMemory:
         self._patterns: NDArray[np.uint8] = np.empty((0, ROWS, COLUMNS), np.uint8)
         self._planes: dict[int, bytes] = {}
         self._bits = LOAD_BITS
+        # In how many bits all patterns lie in the box; None: not all of them do.
+        self._complete: int | None = None
         self._order: tuple[int, ...] = ()
         self._lut: tuple[int, tuple[int, ...]] | None = None
         self._at: int | None = None
@@ -71,13 +73,18 @@ class PatternMemory:
         self._wanted: SequenceFile | None = None
         self._led = None
 
+    @property
+    def timings(self) -> tuple[PatternTiming, ...]:
+        """The times of the compiled sequences."""
+        return tuple(PatternTiming(file.exposure_us, file.period_us, file.bits, file.leds) for file in self._sequences)
+
     def count(self, bits: int) -> int:  # noqa: ARG002
         """Tell how many patterns are loaded."""
         return len(self._patterns)
 
     def load(self, patterns: NDArray[np.uint8]) -> None:
         """Send the planes that differ from those in the box."""
-        self._patterns = patterns[:0]
+        self._patterns, self._complete = patterns[:0], None
         self._order, self._wanted = (), None
         self._send(patterns, LOAD_BITS)
         self._patterns = patterns
@@ -178,9 +185,11 @@ class PatternMemory:
         )
 
     def _send(self, patterns: NDArray[np.uint8], bits: int) -> None:
+        if bits == self._complete:
+            return
         if bits != self._bits:
             self._lut = None
-        self._bits = bits
+        self._bits, self._complete = bits, None
         for number, pattern in enumerate(patterns):
             for bit, plane in enumerate(pack(pattern, bits)):
                 place, mark = number * bits + bit, hashlib.blake2b(plane, digest_size=16).digest()
@@ -195,6 +204,7 @@ class PatternMemory:
                     plane=place,
                 )
                 self._planes[place] = mark
+        self._complete = bits
 
     def _write_order(self, order: tuple[int, ...]) -> None:
         if self._lut != (self._bits, order):

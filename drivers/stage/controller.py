@@ -37,7 +37,7 @@ class Controller:
 
     def stop(self) -> None:
         """End the motion."""
-        self._perform(self._offered(self._actions.stop, "stop"), 0, 0, never)
+        self._perform(self._offered(self._actions.stop, "stop"), 0, 0, never, urgent=True)
 
     def zero(self) -> None:
         """Set the controller's counts to zero, where it can."""
@@ -64,7 +64,9 @@ class Controller:
         frame = self._encoder.encode(command, Values(self._axis.settings.axis))
         return self.port.exchange(self._device, frame, self._replies(), pause_s=command.pause_s)
 
-    def _perform(self, commands: Commands, counts: int, speed: int, cancelled: Cancelled) -> bool:
+    def _perform(
+        self, commands: Commands, counts: int, speed: int, cancelled: Cancelled, *, urgent: bool = False
+    ) -> bool:
         values = Values(self._axis.settings.axis, counts, speed)
         # All frames are made before the first is sent: a value that does not fit leaves nothing half said.
         frames = [self._encoder.encode(command, values) for command in commands]
@@ -73,12 +75,16 @@ class Controller:
                 return False
             for command, frame in zip(commands, frames, strict=True):
                 if not command.acknowledged:
-                    if not self.port.send(self._device, frame, pause_s=command.pause_s, cancelled=cancelled):
+                    if not self.port.send(
+                        self._device, frame, pause_s=command.pause_s, cancelled=cancelled, urgent=urgent
+                    ):
                         return False
                     continue
                 if cancelled():
                     return False
-                answer = self.port.exchange(self._device, frame, self._replies(), pause_s=command.pause_s)
+                answer = self.port.exchange(
+                    self._device, frame, self._replies(), pause_s=command.pause_s, urgent=urgent
+                )
                 read_acknowledge(self._device, self._replies(), answer, frame)
         return True
 

@@ -81,7 +81,7 @@ class SerialStage:
             if self._controller is not None:
                 return
             axis = self._axis
-            port = acquire(self._name, axis.settings.port, axis.line, alone=axis.alone)
+            port = acquire(self._name, axis.settings.port, axis.line, axis=axis.settings.axis, alone=axis.alone)
             self._controller = Controller(axis, port)
             self._generation = 0
             self._stopped.clear()
@@ -334,9 +334,9 @@ class SerialStage:
             return StageCondition.MOVING
         if status is not None and status.at_limit:
             return StageCondition.AT_LIMIT
-        if self._failure is not None:
-            return StageCondition.FAILED
-        return StageCondition.NO_ZERO if self._scale is None else StageCondition.READY
+        if self._scale is None:
+            return StageCondition.NO_ZERO
+        return StageCondition.READY if self._failure is None else StageCondition.FAILED
 
     def _told(self, condition: StageCondition, position: Position | None) -> StageState:
         return StageState(condition, position, self._target_mm, self._drive.speed_mm_per_s)

@@ -22,6 +22,7 @@ from drivers.stage.frames import ReplyReader
 from drivers.stage.wire import IO_ERRORS, READ_SLICE_S, Wire, open_wire, reason, remedy
 
 DRAIN_LIMIT_S = 0.25
+# Silence that is waited for where the line is not sure to be silent.
 QUIET_S = 0.1
 FIRST_DELAY_S = 0.1
 LAST_DELAY_S = 1.0
@@ -64,7 +65,7 @@ class Port:
         self._lost = False
         self._retry = _Retry()
         self._quiet_until_s = 0.0
-        self._unsure = False
+        self._unsure_s = 0.0
 
     def connect(self, device: str, *, patience_s: float, cancelled: Cancelled) -> None:
         """Open the line if it is not open; keep trying for `patience_s`.
@@ -109,8 +110,10 @@ class Port:
             if mine:
                 self._lock.release()
 
-    def send(self, device: str, frame: bytes, *, pause_s: float, cancelled: Cancelled) -> bool:
+    def send(self, device: str, frame: bytes, *, pause_s: float, cancelled: Cancelled, urgent: bool = False) -> bool:
         """Write one frame when the pause of the frame before it is over.
+
+        `urgent`: without the silence that is kept after a bad answer.
 
         Returns
         -------
@@ -131,13 +134,13 @@ class Port:
                 time.sleep(min(left_s, READ_SLICE_S))
             if not mine or cancelled():
                 return False
-            self._drain(device, QUIET_S if self._unsure else 0.0)
+            self._drain(device, 0.0 if urgent else self._unsure_s)
             if cancelled():
                 return False
             try:
                 self._opened(device).write(frame)
             except serial.SerialTimeoutException:
-                self._unsure = True
+                self._unsure_s = max(self._unsure_s, QUIET_S)
                 raise TimedOut(
                     device,
                     f"{self.url} takes no bytes",
@@ -148,8 +151,8 @@ class Port:
             self._quiet_until_s = time.monotonic() + pause_s
             return True
 
-    def exchange(self, device: str, frame: bytes, replies: Replies, *, pause_s: float) -> bytes:
-        """Write one frame and read its answer, without the terminator.
+    def exchange(self, device: str, frame: bytes, replies: Replies, *, pause_s: float, urgent: bool = False) -> bytes:
+        """Write one frame and read its answer, without the terminator; `urgent`: as for `send`.
 
         Raises
         ------
@@ -161,15 +164,16 @@ class Port:
             The line is gone.
         """
         with self.held(device):
-            self.send(device, frame, pause_s=pause_s, cancelled=never)
+            self.send(device, frame, pause_s=pause_s, cancelled=never, urgent=urgent)
             reader = ReplyReader(device, replies)
             end_s = time.monotonic() + replies.timeout_s
-            # Until an answer is there, what comes later could be taken for the answer to the next question.
-            self._unsure = True
+            # Until an answer is there, what comes later could be taken for the answer to the next question: a
+            # controller that missed the bound is given as long again.
+            self._unsure_s = max(QUIET_S, replies.timeout_s)
             while time.monotonic() < end_s:
                 answer = reader.feed(self._read(device))
                 if answer is not None:
-                    self._unsure = False
+                    self._unsure_s = 0.0
                     return answer
         raise TimedOut(
             device,
@@ -223,7 +227,7 @@ class Port:
                 return DeviceLost(device, f"{self.url} is gone", "plug it in again, then home or zero the axis")
             return NotConnected(device, f"{self.url} cannot be opened: {reason(error)}", remedy(error))
         self._retry = _Retry()
-        self._lost = self._unsure = False
+        self._lost, self._unsure_s = False, 0.0
         self._quiet_until_s = 0.0
         self.generation += 1
         return None
@@ -236,7 +240,7 @@ class Port:
             raise self._lose(device, error) from None
 
     def _drain(self, device: str, quiet_s: float) -> None:
-        """Drop what was sent unasked, until nothing came for `quiet_s`."""
+        """Drop what was sent unasked, until nothing came for `quiet_s`; once it came, a short silence is its end."""
         port = self._opened(device)
         end_s = time.monotonic() + quiet_s + DRAIN_LIMIT_S
         last_s = time.monotonic()
@@ -245,7 +249,7 @@ class Port:
                 waiting = port.in_waiting
                 if waiting:
                     port.read(min(waiting, 4096))
-                    last_s = time.monotonic()
+                    last_s, quiet_s = time.monotonic(), min(quiet_s, QUIET_S)
                 elif time.monotonic() - last_s >= quiet_s:
                     return
                 else:
@@ -276,11 +280,19 @@ class Port:
                 port.close()
 
 
-_ports: dict[str, tuple[Port, dict[str, bool]]] = {}
+@dataclass(frozen=True, slots=True)
+class _User:
+    """An axis on a line."""
+
+    number: int
+    alone: bool
+
+
+_ports: dict[str, tuple[Port, dict[str, _User]]] = {}
 _ports_lock = threading.Lock()
 
 
-def acquire(device: str, url: str, line: Line, *, alone: bool) -> Port:
+def acquire(device: str, url: str, line: Line, *, axis: int, alone: bool) -> Port:
     """Get the line of a URL, the same for all axes on it; `release` gives it back.
 
     Parameters
@@ -291,6 +303,8 @@ def acquire(device: str, url: str, line: Line, *, alone: bool) -> Port:
         A device file, or what pyserial's `serial_for_url` takes.
     line
         Its settings.
+    axis
+        The controller's number of the axis.
     alone
         Whether the axis cannot bear others on the line.
 
@@ -314,8 +328,12 @@ def acquire(device: str, url: str, line: Line, *, alone: bool) -> Port:
             )
         if device in users:
             raise ConfigurationError(device, f"{url} is already open for it", "close it first", ("port",))
+        for other, user in users.items():
+            if user.number == axis:
+                what = f"axis {axis} on {url} is already open as {other}"
+                raise ConfigurationError(device, what, "give each stage its own axis, or its own port", ("axis",))
         others = list(users)
-        if others and (alone or any(users[name] for name in others)):
+        if others and (alone or any(user.alone for user in users.values())):
             raise ConfigurationError(
                 device,
                 f"{url} is also used by {', '.join(sorted(others))}, "
@@ -323,7 +341,7 @@ def acquire(device: str, url: str, line: Line, *, alone: bool) -> Port:
                 "use a line for each axis, or verify it and set go_starts_all_axes: false",
                 ("port",),
             )
-        users[device] = alone
+        users[device] = _User(axis, alone)
         _ports[key] = (port, users)
         return port
 
