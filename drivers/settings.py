@@ -60,21 +60,37 @@ def checked(model: type[Model], values: Mapping[str, Any], *, device: str, place
     raise ConfigurationError(device, f"{place}: {what}" if place else what, remedy, location)
 
 
-def read_file(model: type[Model], path: Path, *, device: str) -> Model:
+def read_file(model: type[Model], path: Path, *, device: str, setting: str = "") -> Model:
     """Read one YAML file into a model; what is wrong is told as ``name:line:column``.
+
+    Parameters
+    ----------
+    model
+        What it must fit.
+    path
+        The file.
+    device
+        Name of the instrument that it is for.
+    setting
+        The setting that names it, for the errors' `location`.
 
     Raises
     ------
     ConfigurationError
         It cannot be read, is no YAML of plain values, or does not fit the model.
     """
-    tree = _parsed(path, device)
     try:
-        return checked(model, _plain(tree), device=device)
+        tree = _parsed(path, device)
+        try:
+            return checked(model, _plain(tree), device=device)
+        except ConfigurationError as error:
+            line, column = _position(tree, error.location)
+            what = f"{path.name}:{line}:{column}: {error.what}"
+            raise ConfigurationError(device, what, error.remedy) from None
     except ConfigurationError as error:
-        line, column = _position(tree, error.location)
-        place = f"{path.name}:{line}:{column}"
-        raise ConfigurationError(device, f"{place}: {error.what}", error.remedy, error.location) from None
+        # Not where in that file, but what in the rig file is to blame.
+        error.location = (setting,) if setting else ()
+        raise
 
 
 def nearest(word: str, known: tuple[str, ...]) -> str:

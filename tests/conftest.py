@@ -4,6 +4,9 @@ import os
 
 import pytest
 
+# As in the program itself (`irpmd_rig`), and before any test module loads numpy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")

@@ -50,6 +50,7 @@ class HarvestersBackend:
         self._harvester: Any = None
         self._acquirer: Any = None
         self._incomplete = _Flag()
+        self._memory: list[bytes] = []
         self._lost_before = 0
         self._identity = ("", "", "")
         self.nodes: Nodes
@@ -77,6 +78,9 @@ class HarvestersBackend:
             # An acquirer that is made in the main thread takes the interrupt signal for itself.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         self._acquirer.num_buffers = self._settings.buffers
+        # A private method, since there is no other way: fresh memory for each acquisition takes 1 ms a buffer to
+        # arm. A version of harvesters without it makes its own again.
+        self._acquirer._create_raw_buffers = self._buffers
         self._acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
         self.nodes = GenApiNodes(self._acquirer.remote_device.node_map)
 
@@ -144,6 +148,12 @@ class HarvestersBackend:
             self._acquirer.destroy()
         with suppress(*_WHEEL_ERRORS, AttributeError, RuntimeError):
             self._harvester.reset()
+
+    def _buffers(self, num_buffers: int = 0, size: int = 0) -> list[bytes]:
+        if [len(buffer) for buffer in self._memory] != [size] * num_buffers:
+            self._memory = []
+            self._memory = [bytes(size) for _ in range(num_buffers)]
+        return list(self._memory)
 
     def _picture(self, buffer: Any) -> Picture | Incomplete:
         def release() -> None:

@@ -257,7 +257,9 @@ class PatternProjector(ABC):
             self._set_light(led, intensity)
             self._light = (led, intensity) if intensity > 0.0 else None
             self._darkened = False
-            self._check_health()
+            # Off is off, whatever else is wrong: a box that was too hot says so until it is lit again.
+            if intensity > 0.0:
+                self._check_health()
 
     def configure_sync(self, sync: SyncOutput) -> None:
         """Set the pulse for the camera.

@@ -22,6 +22,7 @@ LONGEST_SYNC_US = 0xFFFFFFFF
 UNVERIFIED = (
     "never run on a real LightCommander: check LED, sync and pattern order with a photodiode first",
     "bit plane i*bits + k holds the bits of value 2^k of image i: show a grey ramp and look",
+    "several bits are shown plane by plane: compare a grey ramp at a camera exposure of all and of half the pattern's",
     "LED intensity above 60 % damages the box (erratum E0031): measure the current at 10 % first",
     "infrared is off-label for the mirrors (420 to 700 nm)",
 )

@@ -109,13 +109,13 @@ def load_profile(name: str, *, device: str) -> UsbProfile:
         There is none, it does not fit the model, or it may not be used: disabled, or with unknowns.
     """
     if name.endswith((".yaml", ".yml")):
-        return _usable(read_file(UsbProfile, Path(name), device=device), device)
+        return _usable(read_file(UsbProfile, Path(name), device=device, setting="profile"), device)
     if name not in profile_names():
         raise ConfigurationError(
             device, f"there is no USB profile {name!r}", nearest(name, profile_names()), ("profile",)
         )
     with as_file(files("drivers.projector") / "profiles" / f"{name}.yaml") as path:
-        return _usable(read_file(UsbProfile, path, device=device), device)
+        return _usable(read_file(UsbProfile, path, device=device, setting="profile"), device)
 
 
 def _usable(profile: UsbProfile, device: str) -> UsbProfile:

@@ -264,7 +264,7 @@ def load_dialect(name: str, *, device: str) -> Dialect:
         There is no such dialect, or its file is wrong: ``file:line:column``.
     """
     if name.endswith(".yaml"):
-        return read_file(Dialect, Path(name), device=device)
+        return read_file(Dialect, Path(name), device=device, setting="dialect")
     known = tuple(sorted(path.stem for path in DIALECT_FOLDER.glob("*.yaml")))
     if name not in known:
         raise ConfigurationError(
@@ -273,7 +273,7 @@ def load_dialect(name: str, *, device: str) -> Dialect:
             f"{nearest(name, known)}; or give the path of a .yaml file",
             ("dialect",),
         )
-    return read_file(Dialect, DIALECT_FOLDER / f"{name}.yaml", device=device)
+    return read_file(Dialect, DIALECT_FOLDER / f"{name}.yaml", device=device, setting="dialect")
 
 
 def _check_hex(text: str) -> None:

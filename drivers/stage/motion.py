@@ -121,11 +121,7 @@ class Watch:
                 raise self._ended_elsewhere(move, scale, status)
             if now_s - changed_s > self._settings.progress_timeout_s:
                 self.halt_quietly()
-                raise MotionFailed(
-                    self._device,
-                    f"no progress for {self._settings.progress_timeout_s:g} s at {scale.to_mm(status.counts):.3f} mm",
-                    "look for what blocks the stage, then move again or home it",
-                )
+                raise self._without_progress(f"{scale.to_mm(status.counts):.3f} mm")
             if now_s >= end_s:
                 raise self._still_moving(f"at {scale.to_mm(status.counts):.3f} mm after {bound_s:.1f} s")
             self._stopped.wait(POLL_S)
@@ -152,11 +148,19 @@ class Watch:
         TimedOut
             It takes longer than its bound; it was told to stop.
         MotionFailed
-            Stopped, or ended elsewhere.
+            Stopped, without progress, or ended elsewhere.
         """
-        began_s = time.monotonic()
+        began_s = moved_s = time.monotonic()
         bound_s = self._settings.home_timeout_s
-        while self._read().busy or time.monotonic() - began_s < START_S:
+        status = self._read()
+        first = counts = status.counts
+        while status.busy or time.monotonic() - began_s < START_S:
+            if status.counts != counts:
+                counts, moved_s = status.counts, time.monotonic()
+            # A controller that does not count while it homes is given the whole bound.
+            if status.busy and counts != first and time.monotonic() - moved_s > self._settings.progress_timeout_s:
+                self.halt_quietly()
+                raise self._without_progress(f"{counts} counts, while homing")
             if time.monotonic() - began_s >= bound_s:
                 self.halt_quietly()
                 raise TimedOut(
@@ -165,6 +169,7 @@ class Watch:
                     "check the home switch, then home again; or raise home_timeout_s",
                 )
             self._stopped.wait(POLL_S)
+            status = self._read()
         self._stopped.wait(self._settings.settle_s)
         status = self._read()
         if status.busy or abs(status.counts) > self._axis.window_counts:
@@ -232,6 +237,13 @@ class Watch:
             self._device,
             f"the move ended at {reached_mm:.4f} mm, {reached_mm - target_mm:+.4f} mm from its target"
             f" (window {self._settings.in_position_mm:g} mm)",
+            "look for what blocks the stage, then move again or home it",
+        )
+
+    def _without_progress(self, where: str) -> MotionFailed:
+        return MotionFailed(
+            self._device,
+            f"no progress for {self._settings.progress_timeout_s:g} s at {where}",
             "look for what blocks the stage, then move again or home it",
         )
 

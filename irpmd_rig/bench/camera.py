@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,26 +26,24 @@ FORMATS = ("Mono8", "Mono10", "Mono10p")
 SEGMENTS = 3
 WARM_UP_FRAMES = 20
 FRAME_LIMIT_S = 10.0
-# Run, not imported: the simulator is another program. It ends when its standard input does.
-_TWIN = """
-import itertools, sys
-from pathlib import Path
-import numpy as np
-from sims.camera import CameraServer, CameraSettings, CameraTwin
-from sims.clock import Clock
-chance = np.random.default_rng(1)
-size, paced = int(sys.argv[2]), sys.argv[3] == "paced"
-kinds = {8: np.uint8, 10: np.uint16}
-pictures = {
-    bits: itertools.cycle([chance.integers(0, 1 << bits, (size, size), kind) for _ in range(4)])
-    for bits, kind in kinds.items()
-}
-settings = CameraSettings(size_px=(size, size), paced=paced)
-twin = CameraTwin(lambda start_s, exposure_us, bits: next(pictures[bits]), Clock(), settings)
-with CameraServer(twin, Path(sys.argv[1])) as server:
-    print(server.cti, flush=True)
-    sys.stdin.read()
-"""
+
+
+@dataclass(slots=True)
+class _Taken:
+    """What came of a stream, while it was counted."""
+
+    seconds: float = 0.0
+    frames: int = 0
+    lost: int = 0
+
+    def rows(self, name: str) -> list[Row]:
+        """Its rate beside the real camera's, and what is missing from it."""
+        fps = self.frames / self.seconds
+        share = self.lost / max(1, self.frames + self.lost)
+        return [
+            Row(name, fps, "fps", "an xiQ", XIQ_FPS, fps / XIQ_FPS, "at least", None, None),
+            Row(f"{name}: lost", self.lost, "frames", "frames fetched", self.frames, share, "at most", None, None),
+        ]
 
 
 def run(size_px: int = 2048, seconds: float = 3.0) -> list[Row]:
@@ -60,9 +59,11 @@ def run(size_px: int = 2048, seconds: float = 3.0) -> list[Row]:
     Returns
     -------
     list of Row
-        One for each pixel format, with the real camera's rate as baseline; and 'other threads held up', the 99.9th
-        percentile, whose ``ratio`` is the *difference* in ms to an idle process that ticks at the same time: once
-        at the real camera's pace (the goal's figure) and once as fast as frames come (for information).
+        For each pixel format the rate of a camera that is as fast as frames are taken, then that of one that keeps
+        the real camera's pace, each beside the real camera's rate and followed by the frames that were lost; and
+        'other threads held up', the 99.9th percentile, whose ``ratio`` is the *difference* in ms to an idle process
+        that ticks at the same time: once as fast as frames come (for information) and once at the real camera's
+        pace (the goal's figure), each with the rate that was really kept meanwhile.
 
     Raises
     ------
@@ -72,13 +73,12 @@ def run(size_px: int = 2048, seconds: float = 3.0) -> list[Row]:
         The driver failed.
     """
     rows = []
-    with _camera(size_px, "unpaced") as camera:
-        for name in FORMATS:
-            fps = _frames_a_second(camera, name, seconds)
-            rows.append(Row(f"camera {name}", fps, "fps", "an xiQ", XIQ_FPS, fps / XIQ_FPS, "at least", None, None))
-        rows.append(_held_up(camera, "other threads held up, frames as fast as they come", seconds, None, None))
-    with _camera(size_px, "paced") as camera:
-        rows.append(_held_up(camera, "other threads held up", seconds, 10.0, 2.0))
+    for pace, told, must, aim in (("unpaced", "as fast as they come", None, None), ("paced", "paced", 10.0, 2.0)):
+        held_up = "other threads held up" if pace == "paced" else f"other threads held up, frames {told}"
+        with _camera(size_px, pace) as camera:
+            for name in FORMATS:
+                rows += _rate(camera, name, seconds).rows(f"camera {name}, {told}")
+            rows += _held_up(camera, held_up, seconds, must, aim)
     return rows
 
 
@@ -95,7 +95,9 @@ def _camera(size_px: int, pace: str) -> Iterator[Camera]:
 
 @contextmanager
 def _twin(folder: Path, size_px: int, pace: str) -> Iterator[str]:
-    command = [sys.executable, "-c", _TWIN, str(folder), str(size_px), pace]
+    # Run, not imported: the simulator is another program. It ends when its standard input does.
+    command = [sys.executable, "-m", "sims", "camera", str(folder), "--size-px", str(size_px)]
+    command += ["--unpaced"] if pace == "unpaced" else []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin
         assert process.stdout
@@ -112,33 +114,46 @@ def _twin(folder: Path, size_px: int, pace: str) -> Iterator[str]:
                 process.kill()
 
 
-def _frames_a_second(camera: Camera, pixel_format: str, seconds: float) -> float:
-    low_us = (camera.capabilities().exposure_range_us or (100.0, 0.0))[0]
-    camera.configure(CameraSettings(exposure_us=low_us, pixel_format=pixel_format))
-    camera.arm()
-    for _ in range(WARM_UP_FRAMES):
-        camera.fetch(FRAME_LIMIT_S)
-    start_s, frames = time.perf_counter(), 0
-    while time.perf_counter() - start_s < seconds:
-        camera.fetch(FRAME_LIMIT_S)
-        frames += 1
-    elapsed_s = time.perf_counter() - start_s
-    camera.stop()
-    return frames / elapsed_s
+def _rate(camera: Camera, pixel_format: str, seconds: float) -> _Taken:
+    with _armed(camera, pixel_format):
+        for _ in range(WARM_UP_FRAMES):
+            _fetch(camera, _Taken())
+        with _counted(camera) as taken:
+            end_s = time.perf_counter() + seconds
+            while time.perf_counter() < end_s:
+                _fetch(camera, taken)
+    return taken
 
 
-def _held_up(camera: Camera, name: str, seconds: float, must: float | None, aim: float | None) -> Row:
+def _fetch(camera: Camera, taken: _Taken) -> None:
+    # At the camera's own pace a machine that is busy may lose some: the camera's counters tell how many.
+    with suppress(FramesLost):
+        camera.fetch(FRAME_LIMIT_S)
+        taken.frames += 1
+
+
+@contextmanager
+def _counted(camera: Camera) -> Iterator[_Taken]:
+    taken = _Taken()
+    lost_before = camera.counters().lost
+    start_s = time.perf_counter()
+    yield taken
+    taken.seconds = time.perf_counter() - start_s
+    taken.lost = camera.counters().lost - lost_before
+
+
+def _held_up(camera: Camera, name: str, seconds: float, must: float | None, aim: float | None) -> list[Row]:
     ours: list[float] = []
     idle: list[float] = []
-    with _streaming(camera):
+    with _streaming(camera) as taken:
         for _ in range(SEGMENTS):
             found = _side_by_side(seconds)
             ours += found[0]
             idle += found[1]
     late, control = (float(np.percentile(found, 99.9)) for found in (ours, idle))
-    return Row(
-        name, late, "ms", "idle process alongside; ratio: ms beyond it", control, late - control, "at most", must, aim
-    )
+    beside = "idle process alongside; ratio: ms beyond it"
+    row = Row(name, late, "ms", beside, control, late - control, "at most", must, aim)
+    return [row, *taken.rows(f"{name}: frames meanwhile")]
 
 
 def _side_by_side(seconds: float) -> tuple[list[float], list[float]]:
@@ -156,23 +171,29 @@ def _side_by_side(seconds: float) -> tuple[list[float], list[float]]:
 
 
 @contextmanager
-def _streaming(camera: Camera) -> Iterator[None]:
+def _armed(camera: Camera, pixel_format: str) -> Iterator[None]:
     low_us = (camera.capabilities().exposure_range_us or (100.0, 0.0))[0]
-    camera.configure(CameraSettings(exposure_us=low_us, pixel_format="Mono8"))
+    camera.configure(CameraSettings(exposure_us=low_us, pixel_format=pixel_format))
     camera.arm()
+    try:
+        yield
+    finally:
+        camera.stop()
+
+
+@contextmanager
+def _streaming(camera: Camera) -> Iterator[_Taken]:
     ends = threading.Event()
 
     def fetch() -> None:
         while not ends.is_set():
-            # At the camera's own pace a machine that is busy may lose some.
-            with suppress(FramesLost):
-                camera.fetch(FRAME_LIMIT_S)
+            _fetch(camera, taken)
 
-    thread = threading.Thread(target=fetch, name="frames")
-    thread.start()
-    try:
-        yield
-    finally:
-        ends.set()
-        thread.join()
-        camera.stop()
+    with _armed(camera, "Mono8"), _counted(camera) as taken:
+        thread = threading.Thread(target=fetch, name="frames")
+        thread.start()
+        try:
+            yield taken
+        finally:
+            ends.set()
+            thread.join()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from irpmd_rig.core import (
     rays,
     smooth_reference,
 )
-from irpmd_rig.demo.capture import Frame, Photographer, grow, shrink
+from irpmd_rig.demo.capture import Decoded, Frame, Lab, grow, shrink
 
 COUNTS = (64.0, 63.0, 56.0)
 STEPS = 4
@@ -87,19 +88,21 @@ class Measurement:
     points_mm: NDArray[np.float64]
 
 
-def calibrate(photographer: Photographer, drawing: Drawing, announce: Announce) -> Calibration:
+def calibrate(lab: Lab, board: Checkerboard, drawing: Drawing, announce: Announce) -> Calibration:
     """Calibrate from scratch: 30 boards, 21 plates, sprayed mirror with glass, reference at both positions."""
     announce("checkerboard in 30 poses: the camera's intrinsics")
-    board = photographer.rig.world.board
-    chequered = Checkerboard((board.squares[1] - 1, board.squares[0] - 1), board.square_mm)
-    camera = calibrate_camera(_board_images(photographer), chequered, threads=photographer.threads)
+    camera = calibrate_camera(_board_images(lab), board, threads=lab.threads)
     directions = rays(camera.intrinsics)
     announce("white plate at 21 positions: absolute phase to depth")
-    relation = fit_plate_relation(_plate_phases(photographer), PLATE_POSITIONS_MM, threads=photographer.threads)
-    on_plate = next(board for board in camera.boards if board.view == BOARDS - 1)
+    plates = _plate_phases(lab)
     announce("sprayed mirror, glass and reference at both stage positions: planes, angles, distance")
-    regions = _find_regions(photographer)
-    phases = _mirror_phases(photographer)
+    regions = _find_regions(lab)
+    mirror = _phases(lab, "mirror")
+    relation = fit_plate_relation(
+        np.stack([plate.result().phase.phase_rad for plate in plates]), PLATE_POSITIONS_MM, threads=lab.threads
+    )
+    on_plate = next(board for board in camera.boards if board.view == BOARDS - 1)
+    phases = tuple(decoded.result().phase for decoded in mirror)
     geometry = calibrate_geometry(
         camera,
         relation,
@@ -118,57 +121,39 @@ def calibrate(photographer: Photographer, drawing: Drawing, announce: Announce) 
     return Calibration(camera, relation, geometry, directions, references)
 
 
-def measure(photographer: Photographer, calibration: Calibration, subject: str, announce: Announce) -> Measurement:
+def measure(lab: Lab, calibration: Calibration, subject: str, announce: Announce) -> Measurement:
     """Measure the object ``subject`` by the depth equation at the two stage positions."""
-    rig = photographer.rig
-    rig.place(subject)
-    rig.set_glass(True)
-    frames, phases = [], []
-    for position in STAGE_POSITIONS_MM:
-        announce(f"{subject} at stage position {position:g} mm")
-        rig.move_stage1(position)
-        photographer.expose(photographer.white())
-        frames.append(photographer.fringes())
-        phases.append(photographer.decode(frames[-1]))
+    announce(f"{subject} at stage positions {', '.join(f'{position:g}' for position in STAGE_POSITIONS_MM)} mm")
+    decoded = [future.result() for future in _phases(lab, subject)]
     references = [reference.phase_rad for reference in calibration.references]
     depth = direct_depth(
         *references,
-        *(phase.phase_rad for phase in phases),
+        *(position.phase.phase_rad for position in decoded),
         d_mm=calibration.geometry.d_mm,
         delta_d_mm=STAGE_POSITIONS_MM[1] - STAGE_POSITIONS_MM[0],
     ).astype(np.float64)
     points = calibration.geometry.frame.points_mm(depth, calibration.rays)
-    return Measurement(frames[0], tuple(phases), depth, points)
+    return Measurement(decoded[0].images, tuple(position.phase for position in decoded), depth, points)
 
 
-def _board_images(photographer: Photographer) -> list[Frame]:
+def _board_images(lab: Lab) -> list[Frame]:
     """One frame of the board in each pose; the last pose lies on the white plate."""
-    rig = photographer.rig
-    rig.set_glass(False)
-    rig.set_lamp(True)
     images = []
-    for pose in range(BOARDS):
-        if pose < BOARDS - 1:
-            rig.place("board", pose=pose)
-        else:
-            rig.move_stage2(BOARD_ON_PLATE_AT_MM)
-            rig.place("board_on_plate")
-        photographer.expose(None)
-        images.append(photographer.frame(None))
-        photographer.tick(1)
-    rig.set_lamp(False)
-    return images
+    for pose in range(BOARDS - 1):
+        lab.place("board", pose=pose, glass=False, lamp=True)
+        images.append(lab.board())
+    lab.photographer.move("stage2", BOARD_ON_PLATE_AT_MM)
+    lab.place("board_on_plate", glass=False, lamp=True)
+    return [*images, lab.board()]
 
 
-def _plate_phases(photographer: Photographer) -> NDArray[np.float32]:
-    rig = photographer.rig
-    rig.place("plate")
-    maps = []
+def _plate_phases(lab: Lab) -> list[Future[Decoded]]:
+    lab.place("plate", glass=False)
+    decoded = []
     for position in PLATE_POSITIONS_MM:
-        rig.move_stage2(position)
-        photographer.expose(photographer.white())
-        maps.append(photographer.decode(photographer.fringes()).phase_rad)
-    return np.stack(maps)
+        lab.photographer.move("stage2", position)
+        decoded.append(lab.fringes())
+    return decoded
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,30 +164,24 @@ class _Regions:
     glass: tuple[NDArray[np.bool_], ...]
 
 
-def _find_regions(photographer: Photographer) -> _Regions:
+def _find_regions(lab: Lab) -> _Regions:
     """Find the regions by taking things away: the mirror alone, then the glass alone."""
-    rig = photographer.rig
-    rig.move_stage1(STAGE_POSITIONS_MM[0])
-    rig.place("mirror")
-    rig.set_glass(False)
-    photographer.expose(photographer.white())
-    sprayed = photographer.lit()
-    rig.place("nothing")
-    rig.set_glass(True)
+    lab.photographer.move("stage1", STAGE_POSITIONS_MM[0])
+    lab.place("mirror", glass=False)
+    sprayed = lab.lit()
+    lab.place("nothing")
     glass = []
     for position in STAGE_POSITIONS_MM:
-        rig.move_stage1(position)
-        photographer.expose(photographer.white())
-        glass.append(photographer.lit())
+        lab.photographer.move("stage1", position)
+        glass.append(lab.lit())
     return _Regions(sprayed, tuple(glass))
 
 
-def _mirror_phases(photographer: Photographer) -> tuple[AbsolutePhase, ...]:
-    rig = photographer.rig
-    rig.place("mirror")
-    phases = []
+def _phases(lab: Lab, subject: str) -> list[Future[Decoded]]:
+    """Frames of a subject behind the glass at the two stage positions."""
+    lab.place(subject)
+    decoded = []
     for position in STAGE_POSITIONS_MM:
-        rig.move_stage1(position)
-        photographer.expose(photographer.white())
-        phases.append(photographer.decode(photographer.fringes()))
-    return tuple(phases)
+        lab.photographer.move("stage1", position)
+        decoded.append(lab.fringes())
+    return decoded

@@ -255,13 +255,19 @@ class Axis:
             self._movement = self._limited(stopping, MoveFaults())
 
     def home(self, speed: Speed | None = None) -> None:
-        """Go to the origin sensor: from there on the step counter agrees with the true position again."""
+        """Go to the origin sensor: from there on the step counter agrees with the true position again.
+
+        A fault of the next move that would belie the sensor (overshoot, lost steps) is left for the move after it.
+        """
         with self._lock:
             self._come_to_rest()
             carriage = self._carriage
             self._movement = replace(self._movement, from_mm=self._movement.from_mm + carriage.slip_mm)
             carriage.slip_mm = carriage.next_slip_mm = 0.0
+            faults = carriage.faults
+            carriage.faults = replace(faults, overshoot_mm=0.0, lost_counts=0.0)
             self.move_to(self.settings.home_mm, speed)
+            carriage.faults.overshoot_mm, carriage.faults.lost_counts = faults.overshoot_mm, faults.lost_counts
 
     @property
     def true_mm(self) -> float:

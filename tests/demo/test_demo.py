@@ -12,6 +12,7 @@ from rich.console import Console
 
 from irpmd_rig.core.errors import MeasurementError
 from irpmd_rig.demo.run import Request, run
+from irpmd_rig.shipped import CONFIGS
 
 SIZE = 512
 
@@ -60,16 +61,32 @@ def test_the_tables_show_truth_and_paper_beside_the_measurement(aligned):
         assert text in shown
 
 
-def test_a_seed_gives_the_same_measurement_again_and_another_seed_another(tmp_path):
-    def steps(seed):
-        request = Request("misaligned", "mirror_step_y", tmp_path, seed, 384)
-        return run(request, Console(quiet=True)).as_json()["measured_steps_mm"]
+def steps_of_seed(seed, folder):
+    request = Request("misaligned", "mirror_step_y", folder, seed, 320)
+    return run(request, Console(quiet=True)).as_json()["measured_steps_mm"]
 
-    first = steps(11)
-    assert len(first) == 4
+
+@pytest.fixture(scope="module")
+def seed_11(tmp_path_factory):
+    return steps_of_seed(11, tmp_path_factory.mktemp("seed11"))
+
+
+def test_a_seed_gives_the_same_measurement_again(seed_11, tmp_path):
+    assert len(seed_11) == 4
     # Equal but for the order in which threads add numbers up.
-    assert steps(11) == pytest.approx(first, abs=1e-9)
-    assert np.abs(np.subtract(steps(12), first)).max() > 1e-4
+    assert steps_of_seed(11, tmp_path) == pytest.approx(seed_11, abs=1e-9)
+
+
+def test_another_seed_gives_another_measurement(seed_11, tmp_path):
+    assert np.abs(np.subtract(steps_of_seed(12, tmp_path), seed_11)).max() > 1e-4
+
+
+def test_stages_that_do_not_reach_are_said_before_anything_is_measured(tmp_path):
+    world = (CONFIGS / "worlds" / "aligned.yaml").read_text(encoding="utf-8")
+    short = tmp_path / "short.yaml"
+    short.write_text(world.replace("travel_mm: [-80.0, 220.0]", "travel_mm: [-80.0, 20.0]"), encoding="utf-8")
+    with pytest.raises(MeasurementError, match="stage1"):
+        run(Request(str(short), "mirror_step_y", tmp_path, None, 320), Console(quiet=True))
 
 
 def test_an_unknown_object_is_refused(tmp_path):

@@ -180,7 +180,7 @@ def test_stop_ends_homing_and_leaves_no_zero(stage: SerialStage, gsc: Gsc) -> No
     with pytest.raises(MotionFailed, match="stopped"):
         stage.home()
     timer.join()
-    assert stage.state().condition == StageCondition.FAILED
+    assert stage.state().condition == StageCondition.NO_ZERO
     assert stage.state().position is None
 
 

@@ -240,12 +240,29 @@ def test_axes_on_one_line_have_one_line_setting(peer_at: PeerAt, stage_on: Build
         stage_on(peer, "gsc", name="stage2", line={"baud": 38400})
 
 
-def test_an_axis_that_closes_leaves_the_line_open(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
+def test_two_stages_are_never_one_axis(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
     peer = peer_at(gsc)
-    first, second = stage_on(peer, "gsc"), stage_on(peer, "gsc", name="stage2")
-    first.home()
+    stage_on(peer, "gsc")
+    with pytest.raises(ConfigurationError, match=r"axis 1 .* already open as stage1") as caught:
+        stage_on(peer, "gsc", name="stage2")
+    assert caught.value.location == ("axis",)
+    with pytest.raises(ConfigurationError, match="no axis 2"):
+        stage_on(peer, "gsc", name="stage2", axis=2)
+
+
+def test_an_axis_that_closes_leaves_the_line_open(peer_at: PeerAt, stage_on: Build) -> None:
+    facts = {
+        "speeds": {"kind": "table", "speeds": [{"code": 1, "speed_mm_per_s": 10.0}]},
+        "ramp_s": 0.0,
+        "accept_no_stop": True,
+        "go_starts_all_axes": False,
+    }
+    peer = peer_at()
+    first = stage_on(peer, "gcd-0301m", **facts)
+    second = stage_on(peer, "gcd-0301m", name="stage2", axis=2, **facts)
+    first.zero(0.0, confirmed_by="Ada")
     second.close()
-    assert first.position() == Position(0.0, measured=True)
+    assert first.position() == Position(0.0, measured=False)
 
 
 def test_a_peer_that_takes_no_bytes_ends_in_a_time_out() -> None:

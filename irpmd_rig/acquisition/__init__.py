@@ -1,0 +1,1 @@
+"""The rig and what is done with it: rig file, instruments, exposures, moves, runs."""

@@ -1,0 +1,228 @@
+"""What is looked at before anything moves: the whole recipe before the first motion, and every move again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.protocols import CameraCapabilities, InstrumentError, LimitReached, Refused, StageCondition
+from irpmd_rig.acquisition.errors import AcquisitionError
+from irpmd_rig.acquisition.patterns import longest_exposure_us
+from irpmd_rig.acquisition.rig import DeviceCondition, Rig
+from irpmd_rig.acquisition.rig_file import RigFile
+from irpmd_rig.processing.chain import NEEDS, check_uses
+from irpmd_rig.recipes.equipment import Axis, Equipment
+from irpmd_rig.recipes.estimate import targets
+from irpmd_rig.recipes.models import Recipe
+from irpmd_rig.recipes.plan import Plan
+from irpmd_rig.store.library import Library
+from irpmd_rig.store.record import Fringes, Kind, Optics, RunRecord
+from irpmd_rig.store.run_folder import RunFolder
+
+
+class NotReady(AcquisitionError):  # noqa: N818 - says what happened
+    """The rig cannot begin a run now."""
+
+
+def equipment_of(rig: Rig) -> Equipment:
+    """Tell what a rig can do, for checking recipes: what is not open or not known is left out, and not checked."""
+    file = rig.file
+    axes = {}
+    for name, device in file.devices.items():
+        if device.kind != "stage":
+            continue
+        lower_mm, upper_mm = device.settings.get("limits_mm", (-float("inf"), float("inf")))
+        stage = rig.stages.get(name)
+        if stage is not None:
+            lower_mm, upper_mm = stage.limits().lower_mm, stage.limits().upper_mm
+        speed = device.settings.get("speed_mm_per_s")
+        axes[name] = Axis(lower_mm, upper_mm, speed, float(device.settings.get("settle_s", 0.2)))
+    known: dict[str, Any] = {"stages": axes, "trigger": file.trigger, **_camera(rig), **_projector(rig)}
+    return Equipment(**known)
+
+
+def axes_of(plan: Plan) -> frozenset[str]:
+    """Stages that a plan moves."""
+    return frozenset(name for station in plan.stations for name in targets(station))
+
+
+def instruments_of(plan: Plan) -> frozenset[str]:
+    """Instruments that a plan needs."""
+    return axes_of(plan) | {"camera", "projector"}
+
+
+def check_start(rig: Rig, plan: Plan) -> None:
+    """Refuse a run for which an instrument that it needs is not ready.
+
+    Raises
+    ------
+    InstrumentError
+        The instrument's own error, where it gave one.
+    """
+    needed = instruments_of(plan)
+    for name, state in rig.devices.items():
+        if name in needed and state.state is not DeviceCondition.READY:
+            if state.error is not None:
+                raise type(state.error)(name, state.detail, state.remedy)
+            rig.instrument(name)
+    for name in sorted(needed):
+        rig.instrument(name)
+
+
+def check_move(rig: Rig, name: str, target_mm: float) -> None:
+    """Refuse a move, just before it is sent.
+
+    Raises
+    ------
+    LimitReached
+        It leaves the soft limits.
+    Refused
+        The axis has no zero, or still moves to somewhere else.
+    InstrumentError
+        There is no such stage, or it is lost.
+    """
+    stage = rig.stage(name)
+    limits, state = stage.limits(), stage.state()
+    if not limits.lower_mm <= target_mm <= limits.upper_mm:
+        raise LimitReached(
+            name,
+            f"{target_mm:g} mm is outside its limits",
+            f"give {limits.lower_mm:g} to {limits.upper_mm:g} mm",
+        )
+    if state.condition is StageCondition.NO_ZERO:
+        raise Refused(name, "the axis has no zero", "home it, or zero it at a known place")
+    if state.condition is StageCondition.MOVING and state.target_mm != target_mm:
+        raise Refused(name, f"it still moves to {state.target_mm} mm", "wait for it, or stop it")
+
+
+def rig_reasons(rig: Rig, needed: frozenset[str], axes: Mapping[str, StageCondition]) -> list[str]:
+    """Why the instruments cannot begin a run: not ready, or without a zero that a person has to give.
+
+    Parameters
+    ----------
+    rig
+        The instruments; nothing is asked of them.
+    needed
+        Names of those that the run needs.
+    axes
+        What the stages were last doing.
+    """
+    reasons = [
+        f"{name} is {state.state}: {state.detail or 'it is not open'}" + (f" ({state.remedy})" if state.remedy else "")
+        for name, state in rig.devices.items()
+        if name in needed and state.state is not DeviceCondition.READY
+    ]
+    return reasons + [
+        f"{name} has no zero and cannot home: zero it at a known place"
+        for name, condition in axes.items()
+        if name in needed
+        if condition is StageCondition.NO_ZERO and rig.operator is None and not _can_home(rig, name)
+    ]
+
+
+def record_of(recipe: Recipe, rig_file: RigFile) -> RunRecord:
+    """Write down what a run is to be, as `run.yaml` has it."""
+    needs = NEEDS[recipe.kind]
+    uses: dict[Kind, str] = {}
+    calibration, reference = getattr(recipe, "calibration", None), getattr(recipe, "reference", None)
+    if needs and calibration is not None:
+        uses[needs[0]] = calibration
+    if reference is not None:
+        uses["reference"] = reference
+    fringes = getattr(recipe, "fringes", None)
+    return RunRecord(
+        kind=recipe.kind,
+        name=recipe.name,
+        operator=recipe.operator or "",
+        sample=recipe.sample or "",
+        notes=recipe.notes,
+        nominal_steps_mm=recipe.nominal_steps_mm,
+        fringes=None if fringes is None else Fringes(counts=fringes.counts, steps=fringes.steps),
+        positions_mm=getattr(recipe, "positions_mm", ()),
+        uses=uses,
+        recipe=recipe.model_dump(mode="json"),
+        rig=rig_part(rig_file),
+    )
+
+
+def rig_part(rig_file: RigFile) -> dict[str, Any]:
+    """Write down the rig as it was, filled in, for `run.yaml`."""
+    drawing, board = rig_file.drawing, rig_file.checkerboard
+    part: dict[str, Any] = {
+        "name": rig_file.name,
+        "light": rig_file.light.model_dump(mode="json"),
+        "trigger": rig_file.trigger,
+        "calibration": rig_file.calibration.model_dump(mode="json"),
+    }
+    if rig_file.world is not None:
+        part |= {"world": str(rig_file.world), "simulation": rig_file.simulation.model_dump(mode="json")}
+    if drawing is not None:
+        part["drawing"] = {name: list(getattr(drawing, name)) for name in ("camera_xy_mm", "heading", "d_point_mm")}
+    if board is not None:
+        part["checkerboard"] = board.model_dump(mode="json")
+    for name, device in rig_file.devices.items():
+        part[name] = {"driver": device.driver, **{key: _plain(value) for key, value in device.settings.items()}}
+    return part
+
+
+def settle_uses(rig: Rig, folder: RunFolder, library: Library) -> None:
+    """Find and check the calibrations and the reference that a run will use, and write them down.
+
+    Raises
+    ------
+    irpmd_rig.processing.errors.Refused
+        One is missing or does not fit.
+    """
+    capabilities = rig.camera.capabilities()
+    optics = Optics(camera_serial=capabilities.serial_number, size_px=capabilities.sensor_size_px)
+    record = folder.record().model_copy(update={"optics": optics, "rig": rig_part(rig.file)})
+    uses = check_uses(record, library)
+    optics = optics.model_copy(update={"intrinsics": uses.get("calibrate-camera")})
+    folder.amend(optics=optics, rig=record.rig, uses=uses)
+
+
+# --- inside
+
+
+def _camera(rig: Rig) -> dict[str, Any]:
+    try:
+        can: CameraCapabilities = rig.camera.capabilities()
+    except InstrumentError:
+        return {}
+    known: dict[str, Any] = {
+        "camera_size_px": can.sensor_size_px,
+        "exposure_range_us": can.exposure_range_us,
+        "pixel_formats": can.pixel_formats or None,
+        "triggers": tuple(trigger for trigger in can.triggers if trigger != "free"),
+    }
+    if can.frame_rate_range_hz is not None and can.frame_rate_range_hz[1] > 0.0:
+        known["frame_period_s"] = 1.0 / can.frame_rate_range_hz[1]
+    return known
+
+
+def _projector(rig: Rig) -> dict[str, Any]:
+    try:
+        can = rig.projector.capabilities()
+    except InstrumentError:
+        return {}
+    longest_us = longest_exposure_us(can, rig.file.light.led)
+    return {
+        "projector_size_px": can.size_px,
+        "pattern_limit": can.pattern_limit,
+        "leds": tuple(str(led) for led in can.leds) or None,
+        "longest_pattern_us": longest_us if longest_us != float("inf") and rig.file.trigger == "hardware" else None,
+    }
+
+
+def _can_home(rig: Rig, name: str) -> bool:
+    stage = rig.stages.get(name)
+    return stage is not None and stage.capabilities().can_home
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,221 @@
+"""Which calibrations and which reference a run uses: found, checked for fitness, and loaded when needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from irpmd_rig.processing.archive import ARRAYS, CALIBRATION, Content
+from irpmd_rig.processing.errors import Refused
+from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
+from irpmd_rig.store.errors import StoreError
+from irpmd_rig.store.library import ACTIVE, Library
+from irpmd_rig.store.record import Kind, RunRecord
+from irpmd_rig.store.run_folder import RunFolder
+
+# What each kind of run needs beside its frames: first what its recipe calls its calibration, then the rest.
+NEEDS: Mapping[Kind, tuple[Kind, ...]] = {
+    "calibrate-camera": (),
+    "calibrate-plate": ("calibrate-camera",),
+    "calibrate-geometry": ("calibrate-plate", "calibrate-camera"),
+    "reference": ("calibrate-geometry", "calibrate-plate", "calibrate-camera"),
+    "measure": ("calibrate-geometry", "calibrate-plate", "calibrate-camera", "reference"),
+    "sequence": (),
+}
+_ANOTHER = "choose another one, or make it again"
+
+
+class Chain:
+    """The calibrations and the reference of one run.
+
+    Parameters
+    ----------
+    record
+        The run's record: what it names in ``uses``, its camera and its rig.
+    library
+        Where they are.
+
+    Raises
+    ------
+    Refused
+        If one is not named and none is active, is not there, or does not fit: every reason at once.
+    ProcessingError
+        If the rig part of the record is wrong.
+    """
+
+    def __init__(self, record: RunRecord, library: Library) -> None:
+        self._library = library
+        self._record = record
+        self._facts: RigFacts = rig_facts(record)
+        self._folders: dict[Kind, RunFolder] = {}
+        self._contents: dict[Kind, Content] = {}
+        self.uses: dict[Kind, str] = {}
+        needs = NEEDS[record.kind]
+        for kind in needs:
+            # What the first calibration was made with comes with it.
+            leads = kind in (needs[0], "reference")
+            self._find(kind, self._named(kind) if leads else self._used_by(needs[0], kind))
+        reasons = [reason for kind in self.uses for reason in self._unfit(kind)]
+        if reasons:
+            raise Refused("; ".join(reasons), _ANOTHER)
+
+    @property
+    def stamp(self) -> tuple[tuple[str, str, int], ...]:
+        """What tells these calibrations from others, and from the same ones computed again; raises Refused."""
+        stamps = []
+        for kind, folder in self._folders.items():
+            try:
+                changed = folder.results.path(CALIBRATION).stat().st_mtime_ns
+            except (StoreError, OSError) as error:
+                raise Refused(f"{kind} {folder.id} cannot be used: {error}", _ANOTHER) from None
+            stamps.append((kind, folder.id, changed))
+        return tuple(stamps)
+
+    def content(self, kind: Kind) -> Content:
+        """Give `calibration.json` of the run used for ``kind``; raises Refused if it cannot be read."""
+        if kind not in self._contents:
+            try:
+                self._contents[kind] = self._folders[kind].results.read_json(CALIBRATION)
+            except StoreError as error:
+                raise Refused(f"{kind} {self.uses[kind]} cannot be used: {error}", _ANOTHER) from None
+        return self._contents[kind]
+
+    def array(self, kind: Kind, name: str) -> NDArray[Any]:
+        """Give one array of `arrays.npz` of the run used for ``kind``; raises Refused if it cannot be read."""
+        try:
+            with np.load(self._folders[kind].results.path(ARRAYS), allow_pickle=False) as file:
+                array: NDArray[Any] = file[name]
+        except (StoreError, OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            raise Refused(f"{kind} {self.uses[kind]} cannot be used: {error}", _ANOTHER) from None
+        return array
+
+    def check_size(self, size_px: tuple[int, int]) -> None:
+        """Refuse calibrations of another picture size than (width, height) of the frames."""
+        for kind in self.uses:
+            theirs = tuple(self.content(kind)["size_px"])
+            if theirs != size_px:
+                raise Refused(
+                    f"{kind} {self.uses[kind]} is for pictures of {theirs[0]} x {theirs[1]} px, "
+                    f"the frames have {size_px[0]} x {size_px[1]}",
+                    _ANOTHER,
+                )
+
+    def check_fringes(self, counts: Sequence[float]) -> None:
+        """Refuse calibrations whose absolute phase is counted in other fringes than ``counts``."""
+        for kind in ("calibrate-plate", "reference"):
+            theirs = self.content(kind)["counts"] if kind in self.uses else counts
+            if max(theirs) != max(counts):
+                raise Refused(
+                    f"{kind} {self.uses[kind]} has {max(theirs):g} fringes at the finest, this run {max(counts):g}",
+                    _ANOTHER,
+                )
+
+    def reference_positions(self, positions_mm: Sequence[float]) -> tuple[int, ...]:
+        """Places, in the reference, of the stage positions of a measurement.
+
+        Raises
+        ------
+        Refused
+            If the reference has no position within the in-position window of one of them.
+        """
+        there: list[float] = self.content("reference")["positions_mm"]
+        window = self._facts.stage1.in_position_mm
+        places, far = [], []
+        for position in positions_mm:
+            place = min(range(len(there)), key=lambda k: abs(there[k] - position))
+            places.append(place)
+            # Positions come back from decimal text: a window's edge belongs to it.
+            if abs(there[place] - position) > window + 1e-9:
+                far.append(f"{position:g}")
+        if far:
+            raise Refused(
+                f"reference {self.uses['reference']} was taken at {', '.join(f'{p:g}' for p in there)} mm, not at "
+                f"{', '.join(far)} mm (in-position window {window:g} mm)",
+                "take a reference at these positions",
+            )
+        return tuple(places)
+
+    def _named(self, kind: Kind) -> str:
+        record = self._record
+        written = record.recipe.get("reference" if kind == "reference" else "calibration")
+        return record.uses.get(kind) or (written if isinstance(written, str) else ACTIVE)
+
+    def _find(self, kind: Kind, wanted: str) -> None:
+        try:
+            self._folders[kind] = self._library.resolve(kind, wanted)
+        except StoreError as error:
+            raise Refused(str(error), f"make a {kind}, activate one, or name one") from None
+        self.uses[kind] = self._folders[kind].id
+
+    def _used_by(self, first: Kind, kind: Kind) -> str:
+        uses = self.content(first).get("uses")
+        if not isinstance(uses, dict) or not isinstance(uses.get(kind), str):
+            raise Refused(f"{first} {self.uses[first]} does not say which {kind} it used", _ANOTHER)
+        named = self._record.uses.get(kind, ACTIVE)
+        if named not in (ACTIVE, uses[kind]):
+            raise Refused(f"{first} {self.uses[first]} goes with {kind} {uses[kind]}, not with {named}", _ANOTHER)
+        return str(uses[kind])
+
+    def _unfit(self, kind: Kind) -> list[str]:
+        """Give the reasons why the run used for ``kind`` may not be used."""
+        run, content = self.uses[kind], self.content(kind)
+        reasons = []
+        ours, theirs = self._record.optics, content.get("camera_serial")
+        if ours is not None and theirs is not None and ours.camera_serial != theirs:
+            reasons.append(f"{kind} {run} was made with camera {theirs}, this is {ours.camera_serial}")
+        limit = self._facts.calibration.max_age_days
+        age = age_days(content)
+        if limit is not None and age is not None and age > limit:
+            reasons.append(f"{kind} {run} is {age:.1f} days old, the rig file allows {limit:g}")
+        if kind == "reference":
+            camera = (content.get("uses") or {}).get("calibrate-camera")
+            if camera != self.uses["calibrate-camera"]:
+                reasons.append(
+                    f"the optics differ: reference {run} goes with calibrate-camera {camera}, calibrate-geometry "
+                    f"{self.uses['calibrate-geometry']} with {self.uses['calibrate-camera']}"
+                )
+        return reasons
+
+
+def age_days(content: Content) -> float | None:
+    """Age of a calibration's frames; None if it does not say."""
+    try:
+        created = datetime.fromisoformat(content["created"])
+    except (KeyError, TypeError, ValueError):
+        return None
+    return (datetime.now(UTC) - created).total_seconds() / 86400
+
+
+def check_uses(record: RunRecord, library: Library) -> dict[Kind, str]:
+    """Find and check, before anything moves, what a run will use.
+
+    Parameters
+    ----------
+    record
+        The run's record; ``positions_mm`` are those of the recipe.
+    library
+        Where calibrations and references are.
+
+    Returns
+    -------
+    dict
+        Kind to run id, ``active`` resolved.
+
+    Raises
+    ------
+    Refused
+        If one is missing or does not fit.
+    ProcessingError
+        If the rig part of the record is wrong.
+    """
+    chain = Chain(record, library)
+    if record.kind == "measure" and record.positions_mm:
+        chain.reference_positions(record.positions_mm)
+    if record.optics is not None:
+        chain.check_size(record.optics.size_px)
+    return dict(chain.uses)

@@ -1,0 +1,177 @@
+"""Absolute phases of a run's stations: decoded once, ahead of time where possible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from irpmd_rig.core import AbsolutePhase, check_frames, decode
+from irpmd_rig.core.errors import MeasurementError
+from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
+from irpmd_rig.processing.frames import Frame, FringeStation, read_fringes
+from irpmd_rig.store.run_folder import RunFolder
+from irpmd_rig.store.states import Reason
+
+_SAMPLE = 8  # pixels between those from which a map's typical values are taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationPhase:
+    """Absolute phase at one station, and what it is worth.
+
+    Attributes
+    ----------
+    phase_rad
+        float32 (H, W), NaN where not valid.
+    valid_fraction
+        Share of the picture's pixels that are valid.
+    modulation_dn, sigma_rad
+        Medians over the valid pixels: modulation, and one sigma of the phase by the frames' own noise.
+    """
+
+    phase_rad: NDArray[np.float32]
+    valid_fraction: float
+    modulation_dn: float
+    sigma_rad: float
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the picture."""
+        height, width = self.phase_rad.shape
+        return width, height
+
+    def quality(self) -> dict[str, float | None]:
+        """What the phase is worth, for people; None where it cannot be known."""
+        figures = {name: getattr(self, name) for name in ("valid_fraction", "modulation_dn", "sigma_rad")}
+        return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+class Phases:
+    """Decodes stations of one folder at a time and remembers them until another folder comes.
+
+    Parameters
+    ----------
+    threads
+        For decoding.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self.threads = threads
+        self._folder: Path | None = None
+        self._known: dict[tuple[Any, ...], StationPhase] = {}
+        self._frames: Frame | None = None
+        self._maps: AbsolutePhase | None = None
+
+    def at(self, folder: RunFolder, station: FringeStation, *, take: bool = False) -> StationPhase:
+        """Phase of a station, decoded now if it was not before.
+
+        Parameters
+        ----------
+        folder, station
+            Which frames.
+        take
+            Whether to forget the phase: the caller keeps it, or no longer needs it.
+
+        Raises
+        ------
+        FramesUnusable
+            If frames cannot be read or decoded.
+        """
+        if folder.path != self._folder:
+            self.forget()
+            self._folder = folder.path
+        known = self._known.pop(station.key, None) or self._decode(folder, station)
+        if not take:
+            self._known[station.key] = known
+        return known
+
+    def forget(self) -> None:
+        """Let go of all phases and buffers."""
+        self._folder = None
+        self._known.clear()
+        self.release()
+
+    def release(self) -> None:
+        """Let go of the buffers; the phases stay."""
+        self._frames = self._maps = None
+
+    def _decode(self, folder: RunFolder, station: FringeStation) -> StationPhase:
+        self._frames = frames = read_fringes(folder, station, self._frames)
+        maps = self._maps
+        if maps is not None and maps.phase_rad.shape == frames.shape[2:]:
+            # The phase stays with whoever asked for it; the other maps are used again.
+            maps = replace(maps, phase_rad=np.empty(frames.shape[2:], np.float32))
+        else:
+            maps = None
+        try:
+            self._maps = result = decode(
+                frames,
+                station.counts,
+                unwrapping=unwrapping(station.counts),
+                threads=self.threads,
+                saturation_dn=station.full_scale_dn,
+                out=maps,
+            )
+        except MeasurementError as error:
+            raise FramesUnusable(
+                f"station {station.number} ({station.label}) cannot be decoded: {error}", "measure again"
+            ) from None
+        return _summarised(result)
+
+
+def unwrapping(counts: tuple[float, ...]) -> Literal["optimum", "hierarchical"]:
+    """How fringe counts are meant: from coarse to fine where one set has no more than a period, else by beats."""
+    return "hierarchical" if min(counts) <= 1 else "optimum"
+
+
+def check_station(folder: RunFolder, station: FringeStation, announce: Callable[[str], None]) -> dict[str, Any]:
+    """Check a station's frames against each other, unless that was done when they were taken.
+
+    Returns
+    -------
+    dict
+        What is known of the frames' quality.
+
+    Raises
+    ------
+    FramesUnusable
+        If a frame is stale, blended, dropped, swapped or saturated.
+    """
+    if station.checked:
+        return {"checked": "when taken", "checks": dict(station.entries[-1].checks)}
+    announce(f"station {station.number} ({station.label}): frames are checked")
+    frames = read_fringes(folder, station)
+    try:
+        report = check_frames(frames, station.counts, saturation_dn=station.full_scale_dn)
+    except MeasurementError as error:
+        raise ProcessingError(str(error), "measure again", reason=Reason.FRAME_QUALITY) from None
+    if not report.ok:
+        findings = "; ".join(finding.message for finding in report.findings)
+        raise FramesUnusable(f"station {station.number} ({station.label}): {findings}", "measure again")
+    return {
+        "checked": "now",
+        "noise_dn": report.noise_dn,
+        "modulation_dn": list(report.modulation_dn),
+        "lit_fraction": report.lit_fraction,
+        "weak_fraction": report.weak_fraction,
+        "notes": list(report.notes),
+    }
+
+
+def _summarised(result: AbsolutePhase) -> StationPhase:
+    thin = np.s_[::_SAMPLE, ::_SAMPLE]
+    valid = result.valid[thin]
+    modulation = np.median(result.modulation_dn[thin][valid]) if valid.any() else np.nan
+    weight = sum((c / max(result.counts)) ** 2 for c in result.counts) if result.unwrapping == "optimum" else 1.0
+    variance = result.noise.variance_dn2(np.asarray(modulation, np.float32))
+    return StationPhase(
+        phase_rad=result.phase_rad,
+        valid_fraction=float(np.count_nonzero(result.valid) / result.valid.size),
+        modulation_dn=float(modulation),
+        sigma_rad=float(np.sqrt(2 / result.steps / weight * variance) / modulation),
+    )

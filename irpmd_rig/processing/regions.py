@@ -1,0 +1,72 @@
+"""Which part of the picture shows what: found by taking things away."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+_LIT_FRACTION = 0.2  # of the brightest parts: what counts as lit
+_EDGE_PX = 6
+
+Mask = NDArray[np.bool_]
+Window = tuple[slice, slice]
+
+
+def lit(white: NDArray[Any], black: NDArray[Any]) -> Mask:
+    """Pixels that the projector lights.
+
+    Parameters
+    ----------
+    white, black : ndarray, (H, W)
+        Frames under full light and without light.
+
+    Returns
+    -------
+    ndarray of bool, (H, W)
+        Specks left out.
+    """
+    difference = white.astype(np.float32) - black.astype(np.float32)
+    threshold = _LIT_FRACTION * float(np.percentile(difference, 99))
+    return np.asarray(ndimage.binary_opening(difference > threshold, iterations=2))
+
+
+def grow(region: Mask) -> Mask:
+    """A region with a rim added."""
+    return np.asarray(ndimage.binary_dilation(region, iterations=_EDGE_PX))
+
+
+def shrink(region: Mask) -> Mask:
+    """A region without its rim, where two surfaces share a pixel."""
+    return np.asarray(ndimage.binary_erosion(region, iterations=_EDGE_PX))
+
+
+def bounding_box(known: Mask) -> Window | None:
+    """Rows and columns that hold every True; None where there is none."""
+    rows, columns = np.nonzero(known.any(axis=1))[0], np.nonzero(known.any(axis=0))[0]
+    if rows.size == 0:
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def inside(window: Window, outer: Window) -> Window:
+    """Give the rows and columns of the picture that a window has which is counted from a larger one's first."""
+    rows, columns = (slice(w.start + o.start, w.stop + o.start) for w, o in zip(window, outer, strict=True))
+    return rows, columns
+
+
+def common(windows: Sequence[Window]) -> Window:
+    """Give the rows and columns that all windows share; raises ValueError if they share none."""
+    rows, columns = (slice(max(w[axis].start for w in windows), min(w[axis].stop for w in windows)) for axis in (0, 1))
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        raise ValueError("what is seen at one position is not seen at another")
+    return rows, columns
+
+
+def within(window: Window, outer: Window) -> Window:
+    """Give the rows and columns of a window inside a larger one, counted from that one's first."""
+    rows, columns = (slice(w.start - o.start, w.stop - o.start) for w, o in zip(window, outer, strict=True))
+    return rows, columns

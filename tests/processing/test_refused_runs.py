@@ -1,0 +1,169 @@
+"""What may not be used, and what cannot be computed: said in words, with the reason of a run's end."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import tifffile
+
+from irpmd_rig.processing import FramesUnusable, ProcessingError, Refused
+from irpmd_rig.processing.chain import check_uses
+from irpmd_rig.processing.process import process, reconstruct
+from irpmd_rig.store import Optics, Reason, RunFolder
+
+
+@pytest.fixture
+def copied(chain, tmp_path):
+    """A measurement that may be spoilt."""
+    path = tmp_path / "run"
+    shutil.copytree(chain.folders["measure"].path, path, ignore=shutil.ignore_patterns("results"))
+    return RunFolder(path)
+
+
+def refusal(chain, record):
+    with pytest.raises(Refused) as caught:
+        check_uses(record, chain.runs.library)
+    assert caught.value.reason is Reason.REFUSED
+    return str(caught.value)
+
+
+def record_of(chain, **changes):
+    return chain.folders["measure"].record().model_copy(update=changes)
+
+
+def test_what_fits_is_found_before_anything_moves(chain):
+    uses = check_uses(record_of(chain), chain.runs.library)
+    assert uses == chain.processed["measure"].uses
+
+
+def test_a_reference_at_other_positions_is_refused(chain):
+    said = refusal(chain, record_of(chain, positions_mm=(0.0, 30.0)))
+    assert "0, 40 mm, not at 30 mm (in-position window 0.01 mm)" in said
+    near = record_of(chain, positions_mm=(0.009, 40.01))
+    assert check_uses(near, chain.runs.library)
+    assert "not at 0.011 mm" in refusal(chain, record_of(chain, positions_mm=(0.011, 40.0)))
+
+
+def test_another_camera_is_refused_by_every_calibration_at_once(chain):
+    other = Optics(camera_serial="XM-0002", size_px=(384, 384))
+    said = refusal(chain, record_of(chain, optics=other))
+    assert said.count("was made with camera XM-0001, this is XM-0002") == 4
+
+
+def test_another_picture_size_is_refused(chain):
+    other = Optics(camera_serial="XM-0001", size_px=(2048, 2048))
+    assert "384 x 384 px, the frames have 2048 x 2048" in refusal(chain, record_of(chain, optics=other))
+
+
+def test_a_calibration_that_is_too_old_is_refused_where_the_rig_file_says_so(chain):
+    rig = {**chain.folders["measure"].record().rig, "calibration": {"max_age_days": 1e-9}}
+    said = refusal(chain, record_of(chain, rig=rig))
+    assert "days old, the rig file allows 1e-09" in said
+
+
+def test_a_run_that_is_no_calibration_or_not_there_is_refused(chain):
+    camera = chain.folders["calibrate-camera"].id
+    assert "is a calibrate-camera" in refusal(chain, record_of(chain, uses={"reference": camera}))
+    assert "no run" in refusal(chain, record_of(chain, uses={"reference": "20200101-000000-000000"}))
+
+
+def test_what_a_recipe_names_is_used_unless_run_yaml_says_another(chain):
+    record = record_of(chain, recipe={"calibration": chain.folders["calibrate-camera"].id, "reference": "active"})
+    assert "is a calibrate-camera" in refusal(chain, record)
+    geometry = chain.folders["calibrate-geometry"].id
+    named = record.model_copy(update={"uses": {"calibrate-geometry": geometry}})
+    assert check_uses(named, chain.runs.library)["calibrate-geometry"] == geometry
+
+
+def test_a_reference_of_another_camera_calibration_is_refused(chain):
+    folder = chain.folders["reference"]
+    content = folder.results.read_json("calibration.json")
+    spoilt = {**content, "uses": {**content["uses"], "calibrate-camera": "20200101-000000-000000"}}
+    path = folder.results.path("calibration.json")
+    original = path.read_text()
+    try:
+        path.write_text(json.dumps(spoilt))
+        assert "the optics differ" in refusal(chain, record_of(chain))
+        path.write_text("{")
+        assert "not JSON" in refusal(chain, record_of(chain))
+        path.write_text("{}")
+        assert refusal(chain, record_of(chain))
+    finally:
+        path.write_text(original)
+
+
+def test_a_rig_part_that_is_wrong_is_said(chain):
+    with pytest.raises(ProcessingError, match=r"rig\.stage1\.in_position_mm"):
+        check_uses(record_of(chain, rig={"stage1": {"in_position_mm": "wide"}}), chain.runs.library)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda lines: lines[:-1], "23 frames|11 frames for 12 patterns: set 2 step 3 is missing"),
+        (lambda lines: [*lines, lines[-1]], "13 frames for 12 patterns"),
+        (lambda lines: lines[:12], "1 stage positions; the depth equation takes two"),
+        (lambda lines: [line | {"stage1_mm": None} for line in lines], "stage1_mm of the object frames is not known"),
+        (lambda lines: [line | {"stage1_mm": float(n)} for n, line in enumerate(lines)], "goes from 0.0 to 11.0"),
+        (lambda lines: [line | {"label": "mirror"} for line in lines], "no fringe frames labelled 'object'"),
+        (lambda lines: [line | {"path": "../run.yaml"} for line in lines], "cannot be read"),
+        (lambda lines: [line | {"path": "run.yaml"} for line in lines], "cannot be read"),
+        (lambda lines: [line | {"counts": [64, 63]} for line in lines], "12 frames for 8 patterns"),
+    ],
+)
+def test_a_folder_that_is_not_complete_cannot_be_computed(chain, copied, spoil, said):
+    manifest = copied.path / "manifest.jsonl"
+    lines = spoil([json.loads(line) for line in manifest.read_text().splitlines()])
+    manifest.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(FramesUnusable, match=said) as caught:
+        process(copied, chain.runs.library, lambda _: None)
+    assert caught.value.reason is Reason.FRAME_QUALITY
+    assert copied.results.names() == ()
+
+
+def test_frames_that_were_not_checked_are_checked_and_refused(chain, copied):
+    entries = copied.manifest()
+    lines = [json.loads(entry.line()) | {"checks": {}} for entry in entries]
+    (copied.path / "manifest.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    first, second = (copied.path / entries[k].path for k in (4, 5))
+    stale = tifffile.imread(first)
+    tifffile.imwrite(second, stale)
+    with pytest.raises(FramesUnusable, match=r"station 0 .*set 1 step 1"):
+        process(copied, chain.runs.library, lambda _: None)
+    assert "result.json" not in copied.results.names()
+
+
+def test_a_frame_that_changed_since_it_was_taken_is_noticed(chain, copied):
+    path = copied.path / copied.manifest()[3].path
+    tifffile.imwrite(path, tifffile.imread(path)[::-1])
+    with pytest.raises(FramesUnusable, match="1 frames are missing or damaged: frames/00003"):
+        reconstruct(copied.path, chain.runs.library, lambda _: None)
+    path.unlink()
+    with pytest.raises(FramesUnusable, match="00003"):
+        reconstruct(copied.path, chain.runs.library, lambda _: None)
+
+
+def test_an_object_that_reflects_nothing_has_no_depth(chain, copied):
+    rng = np.random.default_rng(0)
+    for entry in copied.manifest():
+        noise = rng.integers(0, 4, (384, 384), dtype=np.uint8)
+        tifffile.imwrite(copied.path / entry.path, noise)
+    with pytest.raises(ProcessingError, match="no pixel has a depth; check that the object"):
+        process(copied, chain.runs.library, lambda _: None)
+
+
+def test_calibrating_needs_to_know_board_and_drawing(chain, tmp_path):
+    for kind, missing in (("calibrate-camera", "checkerboard"), ("calibrate-geometry", "drawing")):
+        path = tmp_path / kind
+        shutil.copytree(chain.folders[kind].path, path, ignore=shutil.ignore_patterns("results"))
+        folder = RunFolder(path)
+        rig = {key: value for key, value in folder.record().rig.items() if key != missing}
+        folder.amend(rig=rig)
+        with pytest.raises(ProcessingError, match=f"{missing} is not known; give rig.{missing} in run.yaml"):
+            process(folder, chain.runs.library, lambda _: None)
+
+
+def test_a_folder_without_run_yaml_is_said(chain, tmp_path):
+    with pytest.raises(ProcessingError, match=r"run\.yaml"):
+        process(RunFolder(tmp_path), chain.runs.library, lambda _: None)
