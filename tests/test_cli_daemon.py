@@ -91,17 +91,21 @@ class Lab:
 
     def typed(self, *arguments: str, stdin: str = "") -> tuple[int, str, str]:
         with self.begin(*arguments) as process:
-            said, noted = process.communicate(stdin, timeout=100)
-            assert "Traceback" not in noted
-            return process.returncode, said, noted
+            try:
+                said, noted = process.communicate(stdin, timeout=60)
+            finally:
+                process.kill()
+        assert "Traceback" not in noted
+        return process.returncode, said, noted
 
     def client(self) -> Client:
         return Client(self.url, self.folder / "data" / "token")
 
     def newest(self) -> tuple[str, str | None]:
         with self.client() as client:
-            run = client.runs(1)[0]
-            return str(run.state), run.reason
+            for run in client.runs(1):
+                return str(run.state), run.reason
+        return "none", None
 
     def at_rest(self) -> bool:
         state = self.world.call("state")
@@ -200,15 +204,21 @@ def test_a_run_can_be_left_to_the_daemon(lab: Lab) -> None:
         process.send_signal(signal.SIGINT)
         _, noted = process.communicate("l\n", timeout=60)
         assert process.returncode == 1
-    assert "goes on" in noted
+    assert "left to the daemon" in noted
     assert lab.newest()[0] == "running"
     status, said, _ = lab.typed("stop")
     assert status == 0
     assert {line.split(":")[0] for line in said.splitlines()} == {"camera", "projector", "stage1", "stage2"}
     assert lab.newest() == ("failed", "stopped")
     assert lab.at_rest()
+    # Nothing can start, and nobody is there who could do anything about it.
     status, _, noted = lab.typed("run", "short.yaml")
+    assert status == 1
+    assert "clear the stop" in noted
+    assert lab.newest() == ("queued", None)
     assert lab.typed("stop", "--clear")[0] == 0
+    with lab.client() as client:
+        assert lab.typed("runs", client.runs(1)[0].id, "abort")[0] == 0
 
 
 def test_without_a_daemon_or_its_token_it_is_said_how_to_get_one(lab: Lab, tmp_path: Path) -> None:
@@ -224,10 +234,10 @@ def test_safe_works_through_the_daemon_and_after_it_was_killed(lab: Lab) -> None
     assert "the daemon stopped everything" in noted
     assert "stage1: stopped" in said
     lab.typed("stop", "--clear", "--rig", "rig.yaml")
-    with lab.client() as client, client.lease("Ada"):
+    with lab.client() as client:
+        client.take_lease("Ada")
         client.projector_led("infrared", 0.4)
         client.projector_show("white")
-        lab.world.call("state")
         assert not lab.at_rest()
         lab.end(signal.SIGKILL)
     assert not lab.at_rest()

@@ -53,6 +53,8 @@ class SerialStage:
         self._counts = 0
         self._rested_at: int | None = None
         self._move: Move | None = None
+        # Of a controller that never answers: a motion goes on to its end, whatever becomes of line and driver.
+        self._unseen: Move | None = None
         self._target_mm: float | None = None
         self._failure: InstrumentError | None = None
         self._stopped = threading.Event()
@@ -255,12 +257,12 @@ class SerialStage:
             The controller could not be told, or still moves: look at the stage.
         """
         self._stopped.set()
-        controller, move = self._controller, self._move
+        controller = self._controller
         if controller is None or self._axis.dialect.actions.stop is None:
             # A move that is being started leaves this at once, either sent or cancelled.
             with self._starting:
-                move = self._move
-            left_s = 0.0 if move is None else move.left_s()
+                move = self._move or self._unseen
+            left_s = _left_s(move)
             return StopAnswer(stopped=left_s == 0.0, ends_in_s=left_s)
         controller.port.connect(self._name, patience_s=0.0, cancelled=never)
         self._watch(controller).halt()
@@ -329,7 +331,7 @@ class SerialStage:
     # --- inside
 
     def _condition(self, status: Status | None) -> StageCondition:
-        moving = status.busy if status else self._move is not None and self._move.left_s() > 0.0
+        moving = status.busy if status else _left_s(self._unseen) > 0.0
         if moving:
             return StageCondition.MOVING
         if status is not None and status.at_limit:
@@ -357,12 +359,14 @@ class SerialStage:
             except InstrumentError as error:
                 self._failure = error
                 if not controller.reads_position:
-                    # Whether the stage moves is not known, and nobody can ask.
+                    # Whether the stage moves is not known, and nobody can ask: it may.
                     self._scale = None
+                    self._unseen = begun(self._axis, self._drive, start, target)
                 raise
             if sent:
                 # Known to `stop` before it may look: it waits for `_starting`.
                 self._move = begun(self._axis, self._drive, start, target, at_limit=at_limit)
+                self._unseen = None if controller.reads_position else self._move
                 self._counts = target
                 return
         self._failure = MotionFailed(self._name, "stopped before the move began", "move again")
@@ -392,7 +396,7 @@ class SerialStage:
         if controller.reads_position:
             moving = controller.busy()
         else:
-            moving = self._move is not None and self._move.left_s() > 0.0
+            moving = _left_s(self._unseen) > 0.0
         if moving:
             raise Refused(self._name, "the axis still moves", "wait for it, or stop it")
 
@@ -429,3 +433,7 @@ class SerialStage:
             yield
         finally:
             self._operation.release()
+
+
+def _left_s(move: Move | None) -> float:
+    return 0.0 if move is None else move.left_s()

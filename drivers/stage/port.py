@@ -168,12 +168,14 @@ class Port:
             reader = ReplyReader(device, replies)
             end_s = time.monotonic() + replies.timeout_s
             # Until an answer is there, what comes later could be taken for the answer to the next question: a
-            # controller that missed the bound is given as long again.
+            # controller that missed the bound is given as long again. What an urgent frame is answered may itself
+            # be such a late one.
+            sure_s = self._unsure_s if urgent else 0.0
             self._unsure_s = max(QUIET_S, replies.timeout_s)
             while time.monotonic() < end_s:
                 answer = reader.feed(self._read(device))
                 if answer is not None:
-                    self._unsure_s = 0.0
+                    self._unsure_s = sure_s
                     return answer
         raise TimedOut(
             device,

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from enum import StrEnum
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, TypeVar, cast
 
@@ -24,6 +23,7 @@ from drivers.errors import (
 from drivers.protocols import Camera, Instrument, Projector, Stage
 from drivers.registry import Kind, make
 from drivers.values import Position, StageCondition, StopAnswer
+from irpmd_rig.acquisition.conditions import DeviceCondition as DeviceCondition
 from irpmd_rig.acquisition.errors import SimulationError
 from irpmd_rig.acquisition.rig_file import Device, RigFile
 from irpmd_rig.acquisition.simulated import SimulatedOperator, attach
@@ -49,17 +49,6 @@ class Operator(Protocol):
 
     def read_scale(self, stage: str) -> float:
         """Read a stage's position, in mm, off the scale beside it."""
-
-
-class DeviceCondition(StrEnum):
-    """What is known of an instrument of a rig."""
-
-    CLOSED = "closed"
-    READY = "ready"
-    MISSING = "missing"
-    MISCONFIGURED = "misconfigured"
-    LOST = "lost"
-    FAULT = "fault"
 
 
 @dataclass(frozen=True, slots=True)

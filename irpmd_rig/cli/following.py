@@ -49,9 +49,10 @@ class Following:
         self._state: str | None = run.state
         self._asked: str | None = None
         self._told: set[str] = set()
+        self._left = False
 
     def to_the_end(self) -> Run | None:
-        """Return the run when it has ended; None: the person left it to the daemon.
+        """Return the run when it has ended; None: it is left to the daemon.
 
         Raises
         ------
@@ -75,6 +76,8 @@ class Following:
                     elif item is not None:
                         item()
                     self._answer()
+                    if self._left:
+                        return None
                 except KeyboardInterrupt:
                     progress.stop()
                     if not self._go_on():
@@ -194,4 +197,7 @@ class Following:
         except ProblemError as error:
             for line in error.extras.get("reasons") or (str(error),):
                 note(f"the run waits: {line}", style="red")
-            note("Enter tries again; Ctrl-C leaves it to the daemon.")
+            self._terminal.forget()
+            self._left = not self._terminal.somebody_there
+            if not self._left:
+                note("Enter tries again; Ctrl-C leaves it to the daemon.")

@@ -44,7 +44,7 @@ def run(
         note(f"run {submitted.id}")
         ended = Following(client, submitted).to_the_end()
         if ended is None:
-            note(f"run {submitted.id} goes on; see it with: irpmd-rig runs {submitted.id}")
+            note(f"run {submitted.id} is left to the daemon; see it with: irpmd-rig runs {submitted.id}")
             raise typer.Exit(1)
         good = ended.state == "succeeded"
         if activate and good:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.values import StageCondition
-from irpmd_rig.acquisition.rig import DeviceCondition
+from irpmd_rig.acquisition.conditions import DeviceCondition
 from irpmd_rig.store.states import Reason, RunState
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

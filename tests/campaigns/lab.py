@@ -197,10 +197,10 @@ class Lab:
         return self.rig
 
     @contextmanager
-    def daemon(
+    def serving(
         self, *, prefix: tuple[str, ...] = (), environment: dict[str, str] | None = None, limit_s: float = 60.0
-    ) -> Iterator[Daemon]:
-        """A daemon; whatever is left of it at the end is ended."""
+    ) -> Iterator[tuple[subprocess.Popen[str], str]]:
+        """A process of `irpmd-rig serve` and its address; whatever is left of it at the end is ended."""
         command = [*prefix, sys.executable, "-c", COMMAND, "serve", str(self.rig)]
         with self.log.open("a") as log:
             process = subprocess.Popen(
@@ -213,12 +213,11 @@ class Lab:
                 env=os.environ | (environment or {}),
             )
         assert process.stdout is not None
+        assert process.stdin is not None
         try:
             line = process.stdout.readline().split()
             assert line[:1] == ["ready"], f"no daemon: {self.log.read_text()[-2000:]}"
-            daemon = Daemon(process, line[1], self._token(process.pid))
-            with daemon.client:
-                yield daemon
+            yield process, line[1]
         finally:
             if process.poll() is None:
                 process.terminate()
@@ -228,13 +227,23 @@ class Lab:
                     process.kill()
                     process.wait()
                     raise TooLate(f"the daemon did not end within {limit_s:g} s") from None
+                finally:
+                    process.stdout.close()
+                    process.stdin.close()
             process.stdout.close()
-            assert process.stdin is not None
             process.stdin.close()
 
-    def _token(self, pid: int) -> Path:
-        # Where the daemon sees it, which may have mounted something there.
-        return Path(f"/proc/{pid}/root{self.root.resolve()}/token")
+    @contextmanager
+    def daemon(self, **settings: Any) -> Iterator[Daemon]:
+        """A daemon, as `serving`."""
+        with self.serving(**settings) as (process, url):
+            daemon = Daemon(process, url, self.seen_by(process.pid) / "token")
+            with daemon.client:
+                yield daemon
+
+    def seen_by(self, pid: int) -> Path:
+        """The folder of the runs as a process sees it, which may have mounted something there."""
+        return Path(f"/proc/{pid}/root{self.root.resolve()}")
 
     def command(self, *words: str, limit_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run `irpmd-rig` to its end."""

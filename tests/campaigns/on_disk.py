@@ -71,7 +71,11 @@ def incomplete(run: RunFolder) -> list[str]:
             steps = range(shot.steps) if shot.role == "fringes" else (None,)
             wanted.update((station.index, shot.label, shot.role, number, step) for number in sets for step in steps)
     found = Counter((entry.station, entry.label, entry.role, entry.set, entry.step) for entry in run.manifest())
-    return [f"frame {key} is there {found[key]} times, not {wanted[key]}" for key in {*wanted, *found} if wanted[key] != found[key]]
+    return [
+        f"frame {key} is there {found[key]} times, not {wanted[key]}"
+        for key in {*wanted, *found}
+        if wanted[key] != found[key]
+    ]
 
 
 def pictures(folder: Path) -> dict[Key, NDArray[np.float32]]:

@@ -16,12 +16,12 @@ from drivers.errors import DeviceLost, InstrumentError, NotConnected
 
 # The longest that any operation below may take, whatever happens meanwhile.
 BOUND_S = 15.0
-CAMPAIGN_S = 4.0
+CAMPAIGN_S = 3.0
 CYCLES = 3
 
 
 def test_random_faults_end_in_typed_errors_and_no_success_is_false(bench: WorldBench) -> None:
-    """Ten faults a second, of all kinds but those that no controller can know of."""
+    """Fourteen faults a second, of all kinds but those that no controller can know of."""
     names = [
         name
         for name in bench.world("fault_names")["names"]
@@ -54,7 +54,7 @@ def test_random_faults_end_in_typed_errors_and_no_success_is_false(bench: WorldB
         "stage1": lambda: bench.move("stage1"),
         "stage2": lambda: bench.move("stage2"),
     }
-    bench.world("faults", seed=11, rate_per_s=0.5, names=names)
+    bench.world("faults", seed=11, rate_per_s=0.7, names=names)
     users = [threading.Thread(target=use, args=item) for item in operations.items()]
     for user in users:
         user.start()
@@ -122,17 +122,16 @@ def strike(bench: WorldBench, cycle: int) -> None:
             stage.position()
 
 
-@pytest.mark.parametrize("held", [False, True], ids=["closed", "reopened while broken"])
-def test_nothing_is_left_of_instruments_that_failed(bench: WorldBench, held: bool) -> None:
+def test_nothing_is_left_of_instruments_that_failed(bench: WorldBench) -> None:
     pid = bench.world("hello")["pid"]
     bench.close()
     before = settled(pid)
-    for cycle in range(CYCLES - held):
+    for cycle in range(CYCLES):
         bench.open()
         bench.works()
         bench.camera.arm()
         strike(bench, cycle)
-        if held:
+        if cycle % 2:
             for instrument in (bench.projector, *bench.stages.values()):
                 instrument.close()
                 with pytest.raises(NotConnected):

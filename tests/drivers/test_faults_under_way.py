@@ -6,7 +6,6 @@ import signal
 import threading
 import time
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,19 +31,6 @@ def test_unplugged_while_a_trigger_is_awaited(bench: WorldBench) -> None:
     bench.works()
 
 
-def test_unplugged_while_frames_stream(bench: WorldBench) -> None:
-    bench.camera.configure(CameraSettings(exposure_us=2000.0, pixel_format="Mono8"))
-    bench.camera.arm()
-    bench.soon("camera_unplug")
-    indices = []
-    with raised("camera", 3.0, DeviceLost):
-        while True:
-            indices.append(bench.camera.fetch(0.5).index)
-    assert indices == list(range(len(indices)))
-    bench.fault("camera_replug")
-    bench.works()
-
-
 def test_the_camera_s_process_is_killed_while_frames_stream(bench: WorldBench) -> None:
     bench.camera.configure(CameraSettings(exposure_us=2000.0, pixel_format="Mono8"))
     bench.camera.arm()
@@ -55,25 +41,6 @@ def test_the_camera_s_process_is_killed_while_frames_stream(bench: WorldBench) -
             bench.camera.fetch(1.0)
     bench.works()
     assert bench.camera.process_id != killed
-
-
-def test_a_camera_that_answers_no_more_is_stopped_all_the_same(bench: WorldBench) -> None:
-    bench.fault("camera_slow", seconds=3.0)
-    stopped_s: list[float] = []
-
-    def stop() -> None:
-        began_s = time.monotonic()
-        bench.camera.stop()
-        stopped_s.append(time.monotonic() - began_s)
-
-    stopper = threading.Timer(0.2, stop)
-    stopper.start()
-    with raised("camera", 4.0, TimedOut, DeviceLost):
-        bench.camera.configure(CameraSettings(exposure_us=3000.0))
-    stopper.join()
-    assert stopped_s[0] < 3.0
-    bench.fault("camera_slow", seconds=0.0)
-    bench.works()
 
 
 def test_a_camera_that_is_too_hot_is_not_armed(bench: WorldBench) -> None:
@@ -157,30 +124,6 @@ def test_one_stage_is_unplugged_and_the_other_arrives(bench: WorldBench) -> None
     bench.fault("stage_replug", stage="stage1")
     with raised("stage1", 1.5, Refused):
         bench.stages["stage1"].move_to(1.0)
-    bench.works()
-
-
-@pytest.mark.parametrize(
-    ("fault", "arguments", "error"),
-    [
-        ("stage_mute", {}, TimedOut),
-        ("stage_endless", {}, InstrumentError),
-        ("stage_garbled", {"replies": 1}, InstrumentError),
-    ],
-)
-def test_a_line_that_fails_during_a_move(
-    bench: WorldBench, fault: str, arguments: Any, error: type[InstrumentError]
-) -> None:
-    stage = bench.stages["stage2"]
-    stage.move_to(190.0)
-    bench.fault(fault, stage="stage2", **arguments)
-    began_s = time.monotonic()
-    with pytest.raises(error):
-        stage.wait()
-    assert time.monotonic() - began_s < 2.5
-    if "replies" not in arguments:
-        bench.fault(fault, stage="stage2", on=False)
-    stage.stop()
     bench.works()
 
 

@@ -78,7 +78,7 @@ def test_an_unknown_driver_names_the_nearest() -> None:
         ({"counts_per_mm": 0}, ("counts_per_mm",), "correct counts_per_mm"),
         ({"counts_per_mm": float("nan")}, ("counts_per_mm",), "correct counts_per_mm"),
         ({"sign": 2}, ("sign",), "correct sign"),
-        ({"axis": 10}, ("axis",), "at most 9"),
+        ({"axis": 10}, ("axis",), "at most 1"),
         ({"speed_mm_per_s": 21}, ("speed_mm_per_s",), "0.5 to 20 mm/s"),
         ({"dialect": "gsd"}, ("dialect",), "did you mean"),
     ],

@@ -9,7 +9,7 @@ from tests.campaigns.lab import Daemon, Lab, until
 from tests.campaigns.on_disk import complaints, durable_frames, likeness, pictures, shifted, states
 from tests.campaigns.recipes import stations
 
-PLACES_MM = range(0, 45, 3)
+PLACES_MM = range(0, 36, 3)
 LONG = stations(*PLACES_MM, pattern="white")
 SHORT = stations(0)
 STAGE = {"stage": "stage1"}
@@ -143,18 +143,19 @@ def test_a_frame_that_fails_is_taken_again_and_no_index_shifts(
     lab: Lab, daemon: Daemon, model: Any, name: str, trigger: str
 ) -> None:
     run_id = daemon.submit(stations(0, 8, trigger=trigger, retries=2))
+    told = len(lab.log.read_text())
     lab.fault(name)
     daemon.resume()
     run = daemon.ended(run_id)
     assert (run.state, run.frames) == ("succeeded", 12), (run.reason, run.detail)
     assert complaints(lab.root / run_id) == []
     assert shifted(lab.root / run_id, model) == []
-    assert max(entry.checks["taken"] for entry in daemon.client.frames(run_id)) > 1
+    assert "a frame is" in lab.log.read_text()[told:]
     lab.at_rest()
 
 
 def test_frames_that_never_come_end_the_run_after_a_bounded_number_of_attempts(lab: Lab, daemon: Daemon) -> None:
-    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 100_000}))
+    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 10_000}))
     lab.fault("frame_dropped", frames=1)
     assert daemon.carry_out(SHORT).state == "succeeded"
 

@@ -290,6 +290,18 @@ def test_slow_answers_are_waited_for_and_too_slow_ones_never_taken_for_the_next(
     works(stage, twin)
 
 
+def test_stop_does_not_wait_for_a_late_answer_and_does_not_believe_it(stage: SerialStage, twin: StageTwin) -> None:
+    stage.move_to(280.0)
+    # It comes when the next question may have been asked.
+    twin.faults.line.slow_s = 1.3 * ANSWER_S * TIME_SCALE
+    with raised(TimedOut, ANSWER_S + SLACK_S):
+        stage.wait()
+    twin.faults.line.clear()
+    assert stage.stop() == StopAnswer(stopped=True)
+    assert not twin.moving()
+    works(stage, twin)
+
+
 @BOTH
 def test_endless_answers(stage: SerialStage, twin: StageTwin) -> None:
     twin.faults.line.endless = True

@@ -174,9 +174,33 @@ def test_an_unplug_during_the_move_leaves_no_position(stage: SerialStage, peer: 
     peer.plug()
     with pytest.raises(Refused, match="no zero"):
         stage.move_to(1.0)
+    # The box goes on with its move, line or no line.
+    answer = stage.stop()
+    assert answer.stopped is False
+    assert 0.0 < answer.ends_in_s < 1.0
+    assert (stage.state().condition, stage.state().position) == (StageCondition.MOVING, None)
+    with pytest.raises(Refused, match="still moves"):
+        stage.zero(3.0, confirmed_by="Ada")
+    time.sleep(answer.ends_in_s)
+    assert stage.stop() == StopAnswer(stopped=True)
     assert stage.zero(3.0, confirmed_by="Ada") == Position(3.0, measured=False)
     stage.move_to(3.1)
     assert stage.wait() == Position(3.1, measured=False)
+
+
+def test_closing_does_not_end_a_move(stage: SerialStage) -> None:
+    stage.zero(0.0, confirmed_by="Ada")
+    stage.move_to(20.0)
+    stage.close()
+    assert stage.stop().stopped is False
+    stage.open()
+    assert stage.stop().stopped is False
+    assert stage.state().condition == StageCondition.MOVING
+    with pytest.raises(Refused, match="still moves"):
+        stage.zero(0.0, confirmed_by="Ada")
+    time.sleep(stage.stop().ends_in_s)
+    assert stage.state().condition == StageCondition.NO_ZERO
+    stage.zero(0.0, confirmed_by="Ada")
 
 
 @pytest.mark.parametrize("missing", ["counts_per_mm", "speeds", "ramp_s"])

@@ -1,0 +1,78 @@
+"""A disk without room: before a run, and in the middle of one; on a small file system of the test's own."""
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from irpmd_rig.client import ProblemError
+from tests.campaigns.lab import Daemon, Lab
+from tests.campaigns.on_disk import complaints, durable_frames, states
+from tests.campaigns.recipes import stations
+
+# A run needs about 230 kB a frame: 60 of them fit, 120 do not.
+ROOM_MB = 16
+FITS = stations(*range(0, 60), pattern="white")
+TOO_MUCH = stations(*range(0, 40, 2))
+
+
+@pytest.fixture(scope="module")
+def running(lab: Lab) -> Iterator[Daemon]:
+    """A daemon that alone sees a small file system where its runs go."""
+    lab.root.mkdir()
+    own = ("unshare", "--mount") if os.geteuid() == 0 else ("unshare", "--map-root-user", "--mount")
+    script = f'mount -t tmpfs -o size={ROOM_MB}m runs "{lab.root}" && exec "$@"'
+    done = subprocess.run([*own, "sh", "-c", script, "sh", "true"], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no file system of one's own here: {done.stderr.strip()}")
+    with lab.daemon(prefix=(*own, "sh", "-c", script, "sh")) as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def root(lab: Lab, daemon: Daemon) -> Path:
+    return lab.seen_by(daemon.pid)
+
+
+def fill(root: Path) -> Path:
+    """Take all the room that is left."""
+    path = root / "somebody-else"
+    with path.open("wb", buffering=0) as stream, pytest.raises(OSError, match="No space"):
+        while stream.write(bytes(4096)):
+            pass
+    return path
+
+
+def test_a_run_that_does_not_fit_is_refused_before_it_begins(daemon: Daemon, root: Path) -> None:
+    before = sorted(root.iterdir())
+    with pytest.raises(ProblemError) as caught:
+        daemon.submit(TOO_MUCH)
+    assert caught.value.status == 507
+    assert "free" in caught.value.detail or "room" in caught.value.detail
+    assert sorted(root.iterdir()) == before
+    assert daemon.client.queue().waiting == ()
+
+
+def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_written(lab: Lab, daemon: Daemon, root: Path) -> None:
+    run_id = daemon.begin(FITS, frames=3)
+    filler = fill(root)
+    run = daemon.ended(run_id, 20.0)
+    assert (run.state, run.reason) == ("failed", "disk_full"), run.detail
+    lab.at_rest()
+    folder = root / run_id
+    assert complaints(folder) == []
+    kept = durable_frames(folder)
+    assert len(kept) == run.frames >= 3
+    assert [found.id for found in daemon.client.runs()] == [run_id]
+    with pytest.raises(ProblemError) as caught:
+        daemon.submit(stations(0, pattern="white"))
+    assert caught.value.status == 507
+    filler.unlink()
+    run = daemon.retry(run_id)
+    assert (run.state, run.attempt, run.frames) == ("succeeded", 2, 60), run.detail
+    assert complaints(folder) == []
+    assert kept.items() <= durable_frames(folder).items()
+    # The transition that found no room was written as soon as there was some.
+    assert [state["state"] for state in states(folder)].count("failed") == 1
