@@ -94,3 +94,16 @@ def test_a_stage_that_cannot_reach_the_second_position_is_said(tmp_path):
     short = tmp_path / "short.yaml"
     short.write_text(text.replace("travel_mm: [-80.0, 220.0]", "travel_mm: [-80.0, 20.0]"), encoding="utf-8")
     assert "stage1" in refused("demo", "--world", short, "--size-px", 320, folder=tmp_path)
+
+
+def test_the_help_is_fast_because_it_loads_nothing_that_measures(tmp_path):
+    loads = "import sys, irpmd_rig.cli; print(*sys.modules)"
+    ended = subprocess.run(
+        [sys.executable, "-c", loads], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert not {"numpy", "numba", "cv2", "scipy", "fastapi", "pydantic", "h5py"} & set(ended.stdout.split())
+
+
+def test_an_address_that_is_none_is_refused(tmp_path):
+    (tmp_path / "token").write_text("token")
+    assert "address" in refused("runs", "--url", "nowhere", "--token", "token", folder=tmp_path)

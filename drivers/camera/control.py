@@ -9,7 +9,7 @@ from drivers.camera.backend import NodeFailed, NodeRefused, Nodes
 from drivers.camera.options import CameraOptions
 from drivers.camera.pixels import BY_NAME
 from drivers.camera.ximea_nodes import Choice, Value
-from drivers.errors import DeviceFault, Refused, TimedOut, Unsupported
+from drivers.errors import DeviceFault, GarbledReply, Refused, TimedOut, Unsupported
 from drivers.values import CameraCapabilities, CameraSettings, Region, Trigger
 
 READY_LIMIT_S = 2.0
@@ -63,7 +63,7 @@ class CameraControl:
     def temperature_c(self) -> float:
         """Read the temperature."""
         choice = self._need(table.TEMPERATURE_C, "a temperature")
-        return float(self._nodes.read(choice.name, fresh=True))
+        return self._as_number(choice, self._nodes.read(choice.name, fresh=True))
 
     def check_temperature(self, limit_c: float | None) -> None:
         """Raise DeviceFault where the camera tells a temperature above `limit_c`; None: do not look."""
@@ -113,7 +113,7 @@ class CameraControl:
     def frame_format(self) -> tuple[str, int, int]:
         """Tell pixel format, width and height of the frames to come."""
         name = self._value(table.PIXEL_FORMAT)
-        width, height = self._value(table.WIDTH), self._value(table.HEIGHT)
+        width, height = self._number(table.WIDTH), self._number(table.HEIGHT)
         if name is None or width is None or height is None:
             raise Unsupported(
                 self._device, "the camera does not tell the size or format of its frames", "dump its nodes"
@@ -297,7 +297,7 @@ class CameraControl:
         rate = self._number(table.FRAME_RATE_HZ)
         # Switched off, the node's number means nothing.
         is_free = settings.frame_rate_hz is None and self._find(table.FRAME_RATE_OFF) is not None
-        column, row = (int(self._value(choices) or 0) for choices in (table.COLUMN, table.ROW))
+        column, row = (int(self._number(choices) or 0) for choices in (table.COLUMN, table.ROW))
         return replace(
             settings,
             exposure_us=self.exposure_us(),
@@ -310,7 +310,7 @@ class CameraControl:
     def _sensor_size(self) -> tuple[int, int]:
         sizes = []
         for sensor, used in ((table.SENSOR_WIDTH, table.WIDTH), (table.SENSOR_HEIGHT, table.HEIGHT)):
-            value = self._value(sensor) or self._value(used)
+            value = self._number(sensor) or self._number(used)
             if value is None:
                 raise Unsupported(self._device, "the camera does not tell its size", "dump its nodes")
             sizes.append(int(value))
@@ -334,7 +334,17 @@ class CameraControl:
 
     def _number(self, choices: tuple[Choice, ...]) -> float | None:
         choice = self._find(choices)
-        return None if choice is None else float(self._nodes.read(choice.name)) / choice.unit
+        return None if choice is None else self._as_number(choice, self._nodes.read(choice.name)) / choice.unit
+
+    def _as_number(self, choice: Choice, value: Value) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            what = f"its node {choice.name} holds {str(value)[:40]!r} in the place of a number"
+            raise GarbledReply(self._device, what, "dump its nodes")
+        return number
 
     def _value(self, choices: tuple[Choice, ...]) -> Value | None:
         choice = self._find(choices)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from drivers.values import Frame
 # Between asking a worker to end and killing it, and between that and giving up on the kernel.
 QUIT_S = 3.0
 KILL_S = 2.0
+# Where this package was imported from, so that the process finds it, and no other copy of it.
+HERE = str(Path(__file__).parents[2])
 _log = logging.getLogger(__name__)
 
 
@@ -48,6 +51,7 @@ class Link:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),), start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join([HERE, *filter(None, [os.getenv("PYTHONPATH")])])},
             )  # fmt: skip
         except OSError:
             ours.close()

@@ -45,20 +45,30 @@ class Child:
         What it runs: `main` of this module gets the number of its socket and the options.
     options
         What it is told, as JSON.
+
+    Raises
+    ------
+    NotConnected
+        The process cannot be started.
     """
 
     def __init__(self, device: str, module: str, options: dict[str, Any]) -> None:
         self._device = device
         ours, theirs = socket.socketpair()
         with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", module, str(theirs.fileno()), json.dumps(options)],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                start_new_session=True,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [HERE, os.environ.get("PYTHONPATH")]))},
-            )
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", module, str(theirs.fileno()), json.dumps(options)],
+                    pass_fds=(theirs.fileno(),),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    start_new_session=True,
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join([HERE, *filter(None, [os.getenv("PYTHONPATH")])])},
+                )
+            except OSError as error:
+                ours.close()
+                what = f"its process cannot be started: {error}"
+                raise NotConnected(device, what, "check memory and limits of processes") from None
         self._connection = ours
 
     def greet(self) -> dict[str, Any]:

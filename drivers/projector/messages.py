@@ -1,11 +1,17 @@
 """How a driver and a process of its own speak to each other: JSON, then bytes, each with its length before it."""
 
 import json
+import os
+import select
 import socket
 import struct
+import threading
+import time
 from typing import Any
 
 _HEAD = struct.Struct("<IQ")
+# Within it a process that is not held up ends by itself.
+GRACE_S = 1.0
 
 
 def send(connection: socket.socket, head: dict[str, Any], data: bytes = b"") -> None:
@@ -20,6 +26,19 @@ def receive(connection: socket.socket) -> tuple[dict[str, Any], bytes]:
     text_bytes, data_bytes = _HEAD.unpack(_exactly(connection, _HEAD.size))
     head: dict[str, Any] = json.loads(_exactly(connection, text_bytes))
     return head, _exactly(connection, data_bytes)
+
+
+def end_with(connection: socket.socket) -> None:
+    """End this process when the other end of its socket has gone, also where a library holds it up."""
+
+    def watch() -> None:
+        poll = select.poll()
+        poll.register(connection, select.POLLRDHUP)
+        poll.poll()
+        time.sleep(GRACE_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="other end", daemon=True).start()
 
 
 def _exactly(connection: socket.socket, count: int) -> bytes:

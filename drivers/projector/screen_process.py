@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.projector.messages import receive, send
+from drivers.projector.messages import end_with, receive, send
 
 # How often events are looked at while nothing else happens.
 LOOK_ROUND_S = 0.02
@@ -216,6 +216,7 @@ def main() -> None:
     """Serve on the socket whose number is the first argument."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as connection:
+        end_with(connection)
         try:
             serve(connection, json.loads(sys.argv[2]))
         except OSError:

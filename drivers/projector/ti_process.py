@@ -7,7 +7,7 @@ import socket
 import sys
 from typing import Any
 
-from drivers.projector.messages import receive, send
+from drivers.projector.messages import end_with, receive, send
 from drivers.projector.ti_api import OPERATIONS, Kind
 
 OK = 0
@@ -112,6 +112,7 @@ def main() -> None:
     """Serve on the socket whose number is the first argument."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as connection:
+        end_with(connection)
         try:
             serve(connection, json.loads(sys.argv[2])["library"])
         except OSError:

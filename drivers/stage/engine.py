@@ -393,11 +393,7 @@ class SerialStage:
             )
 
     def _refuse_while_moving(self, controller: Controller) -> None:
-        if controller.reads_position:
-            moving = controller.busy()
-        else:
-            moving = _left_s(self._unseen) > 0.0
-        if moving:
+        if controller.busy() if controller.reads_position else _left_s(self._unseen) > 0.0:
             raise Refused(self._name, "the axis still moves", "wait for it, or stop it")
 
     def _connected(self, *, patience_s: float) -> Controller:

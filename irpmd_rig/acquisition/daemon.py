@@ -365,8 +365,8 @@ class RigDaemon:
 
     def _not_ready(self, seen: Seen) -> list[str]:
         """Reasons that lie with the rig itself."""
-        axes = {name: axis.condition for name, axis in seen.axes.items()}
-        reasons = rig_reasons(self._rig, self._needed(), axes)
+        without_zero = [name for name, axis in seen.axes.items() if axis.position is None]
+        reasons = rig_reasons(self._rig, self._needed(), without_zero)
         reasons += [f"{name} could not be made safe: {why}" for name, why in self._safety.concerns.items()]
         if self._safety.latched:
             reasons.append("everything was stopped: clear the stop when it is safe to go on")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -90,13 +90,13 @@ def check_move(rig: Rig, name: str, target_mm: float) -> None:
             f"{target_mm:g} mm is outside its limits",
             f"give {limits.lower_mm:g} to {limits.upper_mm:g} mm",
         )
-    if state.condition is StageCondition.NO_ZERO:
+    if state.position is None:
         raise Refused(name, "the axis has no zero", "home it, or zero it at a known place")
     if state.condition is StageCondition.MOVING and state.target_mm != target_mm:
         raise Refused(name, f"it still moves to {state.target_mm} mm", "wait for it, or stop it")
 
 
-def rig_reasons(rig: Rig, needed: frozenset[str], axes: Mapping[str, StageCondition]) -> list[str]:
+def rig_reasons(rig: Rig, needed: frozenset[str], without_zero: Iterable[str]) -> list[str]:
     """Why the instruments cannot begin a run: not ready, or without a zero that a person has to give.
 
     Parameters
@@ -105,8 +105,8 @@ def rig_reasons(rig: Rig, needed: frozenset[str], axes: Mapping[str, StageCondit
         The instruments; nothing is asked of them.
     needed
         Names of those that the run needs.
-    axes
-        What the stages were last doing.
+    without_zero
+        Axes that have none.
     """
     reasons = [
         f"{name} is {state.state}: {state.detail or 'it is not open'}" + (f" ({state.remedy})" if state.remedy else "")
@@ -115,9 +115,8 @@ def rig_reasons(rig: Rig, needed: frozenset[str], axes: Mapping[str, StageCondit
     ]
     return reasons + [
         f"{name} has no zero and cannot home: zero it at a known place"
-        for name, condition in axes.items()
-        if name in needed
-        if condition is StageCondition.NO_ZERO and rig.operator is None and not _can_home(rig, name)
+        for name in without_zero
+        if name in needed and rig.operator is None and not _can_home(rig, name)
     ]
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from drivers.protocols import DeviceFault, InstrumentError, Led, LimitReached, MotionFailed, StageCondition
+from drivers.protocols import DeviceFault, InstrumentError, Led, LimitReached, MotionFailed
 from irpmd_rig.acquisition.book import RunBook
 from irpmd_rig.acquisition.capture import CaptureSettings, Photographer
 from irpmd_rig.acquisition.conduct import Conduct, Ending
@@ -246,7 +246,8 @@ class Runner:
         for name in sorted(axes_of(run.plan)):
             run.conduct.check()
             stage = place.rig.stage(name)
-            if stage.state().condition is StageCondition.NO_ZERO:
+            # Not by its condition: that may be about a move that failed before the zero was lost.
+            if stage.state().position is None:
                 run.doing(f"{name} finds its zero")
                 place.zeros.given(name)
                 place.rig.find_zero(name)

@@ -147,7 +147,7 @@ class Watch:
 
     def _care(self) -> None:
         """Bring back what is gone; else ask everything whether it is there."""
-        gone = [name for name, state in self._rig.devices.items() if state.state in _GONE]
+        gone = [name for name, state in self._rig.devices.items() if self._is_gone(name, state.state)]
         for name in set(self._again) - set(gone):
             del self._again[name]
         for name in gone:
@@ -159,6 +159,15 @@ class Watch:
                 self._safety.make_safe()
             if not gone:
                 self._rig.refresh()
+
+    def _is_gone(self, name: str, condition: DeviceCondition) -> bool:
+        if condition is DeviceCondition.FAULT:
+            # One that reports a fault is asked again; one whose opening failed by it has to be opened again.
+            try:
+                self._rig.instrument(name)
+            except InstrumentError:
+                return True
+        return condition in _GONE
 
     def _bring_back(self, name: str) -> None:
         now_s = time.monotonic()

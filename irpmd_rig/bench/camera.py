@@ -29,7 +29,7 @@ FRAME_LIMIT_S = 10.0
 
 
 @dataclass(slots=True)
-class _Taken:
+class Taken:
     """What came of a stream, while it was counted."""
 
     seconds: float = 0.0
@@ -75,7 +75,7 @@ def run(size_px: int = 2048, seconds: float = 3.0) -> list[Row]:
     rows = []
     for pace, told, must, aim in (("unpaced", "as fast as they come", None, None), ("paced", "paced", 10.0, 2.0)):
         held_up = "other threads held up" if pace == "paced" else f"other threads held up, frames {told}"
-        with _camera(size_px, pace) as camera:
+        with twin_camera(size_px, pace) as camera:
             for name in FORMATS:
                 rows += _rate(camera, name, seconds).rows(f"camera {name}, {told}")
             rows += _held_up(camera, held_up, seconds, must, aim)
@@ -83,7 +83,8 @@ def run(size_px: int = 2048, seconds: float = 3.0) -> list[Row]:
 
 
 @contextmanager
-def _camera(size_px: int, pace: str) -> Iterator[Camera]:
+def twin_camera(size_px: int, pace: str) -> Iterator[Camera]:
+    """Open a simulated camera in a process of its own; pace: ``"paced"`` as a real one, or ``"unpaced"``."""
     with tempfile.TemporaryDirectory() as folder, _twin(Path(folder), size_px, pace) as producer:
         camera = make("camera", "harvesters", "camera", {"producer": producer})
         try:
@@ -114,10 +115,10 @@ def _twin(folder: Path, size_px: int, pace: str) -> Iterator[str]:
                 process.kill()
 
 
-def _rate(camera: Camera, pixel_format: str, seconds: float) -> _Taken:
+def _rate(camera: Camera, pixel_format: str, seconds: float) -> Taken:
     with _armed(camera, pixel_format):
         for _ in range(WARM_UP_FRAMES):
-            _fetch(camera, _Taken())
+            _fetch(camera, Taken())
         with _counted(camera) as taken:
             end_s = time.perf_counter() + seconds
             while time.perf_counter() < end_s:
@@ -125,7 +126,7 @@ def _rate(camera: Camera, pixel_format: str, seconds: float) -> _Taken:
     return taken
 
 
-def _fetch(camera: Camera, taken: _Taken) -> None:
+def _fetch(camera: Camera, taken: Taken) -> None:
     # At the camera's own pace a machine that is busy may lose some: the camera's counters tell how many.
     with suppress(FramesLost):
         camera.fetch(FRAME_LIMIT_S)
@@ -133,8 +134,8 @@ def _fetch(camera: Camera, taken: _Taken) -> None:
 
 
 @contextmanager
-def _counted(camera: Camera) -> Iterator[_Taken]:
-    taken = _Taken()
+def _counted(camera: Camera) -> Iterator[Taken]:
+    taken = Taken()
     lost_before = camera.counters().lost
     start_s = time.perf_counter()
     yield taken
@@ -145,7 +146,7 @@ def _counted(camera: Camera) -> Iterator[_Taken]:
 def _held_up(camera: Camera, name: str, seconds: float, must: float | None, aim: float | None) -> list[Row]:
     ours: list[float] = []
     idle: list[float] = []
-    with _streaming(camera) as taken:
+    with streaming(camera) as taken:
         for _ in range(SEGMENTS):
             found = _side_by_side(seconds)
             ours += found[0]
@@ -182,7 +183,8 @@ def _armed(camera: Camera, pixel_format: str) -> Iterator[None]:
 
 
 @contextmanager
-def _streaming(camera: Camera) -> Iterator[_Taken]:
+def streaming(camera: Camera) -> Iterator[Taken]:
+    """Fetch frames in a thread of this process, and count them."""
     ends = threading.Event()
 
     def fetch() -> None:

@@ -18,6 +18,8 @@ class BenchName(StrEnum):
     acquire = "acquire"
     camera = "camera"
     decode = "decode"
+    latency = "latency"
+    memory = "memory"
     render = "render"
 
 

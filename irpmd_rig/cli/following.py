@@ -65,6 +65,7 @@ class Following:
             task = progress.add_task("", total=frames, state=self._state)
             while True:
                 try:
+                    self._make_room(progress)
                     item = self._next()
                     if isinstance(item, Run):
                         progress.update(task, description="", state=item.state)
@@ -82,7 +83,13 @@ class Following:
                     progress.stop()
                     if not self._go_on():
                         return None
-                    progress.start()
+
+    def _make_room(self, progress: Progress) -> None:
+        """Let no bar be drawn over what is typed."""
+        if progress.live.is_started and self._asked is not None:
+            progress.stop()
+        elif not progress.live.is_started and self._asked is None:
+            progress.start()
 
     # --- what comes from the daemon
 
@@ -168,6 +175,8 @@ class Following:
             return False
         if typed.lower().startswith("a"):
             self._act("abort")
+        elif self._asked is not None:
+            self._ask(self._asked)
         return True
 
     def _act(self, action: Literal["abort", "answer"], answer: Literal["done", "abort"] = "done") -> None:

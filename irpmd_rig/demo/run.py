@@ -122,14 +122,17 @@ def _shown(client: Client, progress: Progress, frames: int) -> Callable[[Event],
     done: dict[str, int] = {}
 
     def show(event: Event) -> None:
-        run_id = event.run_id or ""
-        if event.kind == "state" and event.data["state"] == "preparing":
-            recipe = client.run(run_id)
-            progress.console.print(recipe.name, highlight=False)
-            progress.update(task, description=recipe.kind)
-        elif event.kind == "progress":
-            done[run_id] = event.data["frames_done"]
+        if event.run_id is None:
+            return
+        if event.run_id not in done:
+            begun = client.run(event.run_id)
+            progress.console.print(begun.name, highlight=False)
+            progress.update(task, description=begun.kind)
+        if event.kind == "progress":
+            done[event.run_id] = event.data["frames_done"]
             progress.update(task, completed=sum(done.values()))
+        else:
+            done.setdefault(event.run_id, 0)
 
     return show
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -38,7 +40,8 @@ def verify(rig: Rig, report: Report, ask: Asker, record_file: Path | None = None
     Returns
     -------
     Record, Path
-        The record and its file. It is written also where the walk is broken off (end of input, Ctrl-C).
+        The record and its file. It is written also where the walk is broken off (end of input, Ctrl-C, the terminal
+        was closed), and the instruments are made safe.
 
     Raises
     ------
@@ -56,22 +59,48 @@ def verify(rig: Rig, report: Report, ask: Asker, record_file: Path | None = None
         }
         for device in report.devices
     }
-    try:
-        _walk(rig, report, ask, record, path)
-        record.complete = True
-    except (EOFError, KeyboardInterrupt):
-        ask.say("\nBroken off: what was answered so far is kept.", "yellow")
-    finally:
-        rig.make_safe()
-        if record.who:
-            record.write(path)
+    with _signals_break_off():
+        try:
+            _walk(rig, report, ask, record, path)
+            record.complete = True
+        except (EOFError, KeyboardInterrupt):
+            # A terminal that was closed takes no line any more.
+            with suppress(OSError):
+                ask.say("\nBroken off" + (": what was answered so far is kept." if record.who else "."), "yellow")
+        finally:
+            rig.make_safe()
+            if record.who:
+                record.write(path)
     return record, path
+
+
+@contextmanager
+def _signals_break_off() -> Iterator[None]:
+    """Break off like Ctrl-C where the terminal is closed or the process is told to end: a light may be on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def break_off(*_: object) -> None:
+        # Once: what makes safe is not broken off.
+        for number in former:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    former = {number: signal.signal(number, break_off) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
 
 def _walk(rig: Rig, report: Report, ask: Asker, record: Record, path: Path) -> None:
     ask.say("Every check may be skipped by Enter. Nothing lights or moves before you type yes.")
     while not record.who:
         record.who = ask.text("Your name, for the record:")
+    # Now, not after an hour: where it cannot be written, nobody needs to begin.
+    record.write(path)
     checks: dict[str, Callable[[DeviceReport], None]] = {
         "camera": lambda device: _camera(rig, device, ask, record, path),
         "projector": lambda device: _projector(rig, device, ask, record),

@@ -141,7 +141,8 @@ class SerialPort:
         self.link.parent.mkdir(parents=True, exist_ok=True)
         beside = self.link.with_name(self.link.name + ".new")
         beside.unlink(missing_ok=True)
-        beside.symlink_to(os.ttyname(slave))
+        # Not its name under /dev/pts: were this process killed, the next terminal that anyone opens would get it.
+        beside.symlink_to(f"/proc/{os.getpid()}/fd/{slave}")
         beside.rename(self.link)
 
     def unplug(self) -> None:

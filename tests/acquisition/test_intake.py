@@ -122,7 +122,9 @@ def rig_with(stage: Any, devices: dict[str, DeviceState] | None = None, operator
 def stage(condition: StageCondition, target_mm: float | None = None, *, can_home: bool = True) -> Any:
     return SimpleNamespace(
         limits=lambda: TravelLimits(0.0, 100.0),
-        state=lambda: StageState(condition, Position(0.0, measured=True), target_mm, 1.0),
+        state=lambda: StageState(
+            condition, None if condition is StageCondition.NO_ZERO else Position(0.0, measured=True), target_mm, 1.0
+        ),
         capabilities=lambda: SimpleNamespace(can_home=can_home),
     )
 
@@ -150,15 +152,15 @@ def test_a_missing_instrument_is_told_by_its_own_error_where_it_is_needed() -> N
     rig.instrument = lambda _: None
     with pytest.raises(DeviceLost, match="its line went away"):
         check_start(rig, measure)
-    reasons = rig_reasons(rig, instruments_of(measure), {})
+    reasons = rig_reasons(rig, instruments_of(measure), [])
     assert reasons == ["stage1 is lost: its line went away (plug it in)"]
     rig.devices = {**devices, "stage1": ready, "stage2": gone}
     check_start(rig, measure)
-    assert rig_reasons(rig, instruments_of(measure), {}) == []
+    assert rig_reasons(rig, instruments_of(measure), []) == []
 
 
 def test_a_zero_is_a_persons_business_only_where_no_program_can_give_it() -> None:
-    axes = {"stage1": StageCondition.NO_ZERO}
+    axes = ["stage1"]
     needed = frozenset({"stage1"})
     assert rig_reasons(rig_with(stage(StageCondition.NO_ZERO)), needed, axes) == []
     blind = stage(StageCondition.NO_ZERO, can_home=False)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.protocols import NotConnected
+from drivers.protocols import DeviceFault, NotConnected
 from irpmd_rig.acquisition import watch as watching
 from irpmd_rig.acquisition.events import EventLog
 from irpmd_rig.acquisition.hands import Hands, Zeros
@@ -27,6 +27,7 @@ class RigFake:
         self.reopened: list[str] = []
         self.refreshed = 0
         self.comes_back = False
+        self.not_opened: set[str] = set()
 
     @property
     def camera(self) -> Any:
@@ -36,6 +37,10 @@ class RigFake:
 
     def now(self, name: str, condition: DeviceCondition) -> None:
         self.devices = {**self.devices, name: DeviceState("camera", "none", condition, "it went away", "plug it in")}
+
+    def instrument(self, name: str) -> None:
+        if name in self.not_opened:
+            raise DeviceFault(name, "it failed", "look")
 
     def reopen(self, name: str) -> DeviceState:
         self.reopened.append(name)
@@ -135,6 +140,16 @@ def test_what_came_back_has_another_zero_and_is_asked_again(
     watch._care()
     # A new loss begins with a short pause again.
     assert len(rig.reopened) == 3
+
+
+def test_a_fault_is_asked_about_unless_opening_failed_by_it(watch: Watch, rig: RigFake, clock: Clock) -> None:
+    rig.now("camera", DeviceCondition.FAULT)
+    clock.now_s += 5.0
+    watch._care()
+    assert (rig.reopened, rig.refreshed) == ([], 1)
+    rig.not_opened.add("camera")
+    watch._care()
+    assert rig.reopened == ["camera"]
 
 
 def test_a_loss_is_announced_and_told_only_while_no_run_has_the_instruments(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -50,11 +51,7 @@ def complaints(folder: Path) -> list[str]:
     files = {f"frames/{path.name}" for path in (folder / "frames").iterdir()} if (folder / "frames").is_dir() else set()
     found += [f"{path} is in no line" for path in sorted(files - set(durable_frames(folder)))]
     steps = [RunState(str(state["state"])) for state in states(folder)]
-    found += [
-        f"{before} became {after}"
-        for before, after in zip(steps, steps[1:], strict=False)
-        if after not in TRANSITIONS[before]
-    ]
+    found += [f"{before} became {after}" for before, after in pairwise(steps) if after not in TRANSITIONS[before]]
     if steps[-1] is RunState.SUCCEEDED:
         found += incomplete(run)
     return found
@@ -71,11 +68,8 @@ def incomplete(run: RunFolder) -> list[str]:
             steps = range(shot.steps) if shot.role == "fringes" else (None,)
             wanted.update((station.index, shot.label, shot.role, number, step) for number in sets for step in steps)
     found = Counter((entry.station, entry.label, entry.role, entry.set, entry.step) for entry in run.manifest())
-    return [
-        f"frame {key} is there {found[key]} times, not {wanted[key]}"
-        for key in {*wanted, *found}
-        if wanted[key] != found[key]
-    ]
+    wrong = [key for key in {*wanted, *found} if wanted[key] != found[key]]
+    return [f"frame {key} is there {found[key]} times, not {wanted[key]}" for key in wrong]
 
 
 def pictures(folder: Path) -> dict[Key, NDArray[np.float32]]:
@@ -97,7 +91,8 @@ def shifted(folder: Path, model: dict[Key, NDArray[np.float32]]) -> list[str]:
     for key, picture in pictures(folder).items():
         alike = {other: likeness(picture, of) for other, of in model.items()}
         best = max(alike, key=lambda other: alike[other])
-        if best != key or alike[key] < SAME:
+        other = best != key and likeness(model[best], model[key]) < SAME
+        if other or alike[key] < SAME:
             found.append(f"frame {key} looks like {best} ({alike[best]:.3f}; {alike.get(key, 0.0):.3f})")
     return found
 

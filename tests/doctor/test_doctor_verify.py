@@ -1,8 +1,11 @@
 """The walk through a first contact: on instruments without a word about a world, as a lab has them."""
 
 import io
+import os
 import re
+import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -173,13 +176,18 @@ def test_without_consent_nothing_lights_and_nothing_moves(world, lab):
     assert checks(record, "stage1")["a short move"]["answer"] == "skipped"
 
 
-@pytest.mark.parametrize("error", [EOFError, KeyboardInterrupt])
-def test_a_walk_that_is_broken_off_leaves_darkness_and_what_was_answered(world, lab, error):
-    seen = []
+@pytest.mark.parametrize("how", [EOFError, KeyboardInterrupt, signal.SIGHUP, signal.SIGTERM])
+def test_a_walk_that_is_broken_off_leaves_darkness_and_what_was_answered(world, lab, how):
+    """By the person, by closing the terminal, by whoever ends the process."""
+    seen, before = [], [signal.getsignal(number) for number in (signal.SIGHUP, signal.SIGTERM)]
 
     def leave() -> str:
         seen.append(light(world))
-        raise error
+        if isinstance(how, signal.Signals):
+            os.kill(os.getpid(), how)
+            time.sleep(10)
+            return ""
+        raise how
 
     person = Person({"Your name": "Ada", "label": "y", "beam clear": "yes", "LED, and no other": leave})
     status, record, text = walked(lab, person)
@@ -189,6 +197,7 @@ def test_a_walk_that_is_broken_off_leaves_darkness_and_what_was_answered(world, 
     assert not record["complete"]
     assert checks(record, "camera")["the serial number is that on the label"]["answer"] == "yes"
     assert "Broken off" in text
+    assert [signal.getsignal(number) for number in (signal.SIGHUP, signal.SIGTERM)] == before
 
 
 def test_an_instrument_that_does_not_answer_is_written_down(world, lab):
@@ -210,4 +219,5 @@ def test_a_record_that_cannot_be_written_is_an_error_and_leaves_darkness(world, 
             str(lab), verify=True, as_json=False, console=Console(file=io.StringIO()),
             record=lab.parent / "nowhere" / "record.yaml", read=person,
         )  # fmt: skip
+    assert len(person.asked) == 1, "nobody walks for nothing"
     assert light(world) == DARK

@@ -78,9 +78,7 @@ class Service:
     def client(self, **settings: Any) -> httpx.Client:
         headers = {"Authorization": f"Bearer {TOKEN}"} | settings.pop("headers", {})
         # Without certificates, which take longer to load than all else.
-        return httpx.Client(
-            base_url=self.url, headers=headers, trust_env=False, timeout=20.0, verify=False, **settings
-        )
+        return httpx.Client(base_url=self.url, headers=headers, trust_env=False, timeout=20.0, verify=False, **settings)
 
 
 @contextmanager
@@ -128,4 +126,9 @@ def lease(client: httpx.Client, owner: str = "Ada", **more: Any) -> dict[str, st
 
 def daemon_command(rig: Path) -> list[str]:
     """Command of a daemon in a process of its own, on a free port."""
-    return [sys.executable, "-c", "import sys; from irpmd_rig.service import serve; serve(sys.argv[1], port=0)", str(rig)]
+    return [
+        sys.executable,
+        "-c",
+        "import sys; from irpmd_rig.service import serve; serve(sys.argv[1], port=0)",
+        str(rig),
+    ]

@@ -121,21 +121,21 @@ def test_a_live_view_shows_pictures(client: httpx.Client, held: dict[str, str]) 
 
 def test_a_live_view_is_shared_and_ends_with_the_lease(service: Service, client: httpx.Client) -> None:
     held = lease(client)
-    with service.client() as second:
-        with (
-            client.stream("GET", f"{DEVICES}/camera/live", headers=held) as one,
-            second.stream("GET", f"{DEVICES}/camera/live", headers=held) as two,
-        ):
-            ones, twos = one.iter_raw(), two.iter_raw()
-            assert next(ones)
-            assert next(twos)
-            with service.client() as third:
-                third.delete(f"{API}/lease", headers=held)
-            # Both end by themselves.
-            for _ in ones:
-                pass
-            for _ in twos:
-                pass
+    with (
+        service.client() as second,
+        client.stream("GET", f"{DEVICES}/camera/live", headers=held) as one,
+        second.stream("GET", f"{DEVICES}/camera/live", headers=held) as two,
+    ):
+        ones, twos = one.iter_raw(), two.iter_raw()
+        assert next(ones)
+        assert next(twos)
+        with service.client() as third:
+            third.delete(f"{API}/lease", headers=held)
+        # Both end by themselves.
+        for _ in ones:
+            pass
+        for _ in twos:
+            pass
     assert "irpmd_rig_streams 0.0" in client.get("/metrics").text
 
 

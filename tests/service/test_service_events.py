@@ -53,7 +53,7 @@ def test_a_stream_of_a_run_holds_that_run_alone(service: Service, client: httpx.
         client.post(f"{API}/queue/actions", json={"action": "resume"})
         found = events_in("".join(pieces))
     assert {event["run_id"] for event in found} == {one}
-    assert [event["data"]["state"] for event in found if event["kind"] == "state"][0] == "preparing"
+    assert next(event["data"]["state"] for event in found if event["kind"] == "state") == "preparing"
 
 
 @pytest.mark.parametrize("headers", [{"Last-Event-ID": "x"}, {"Last-Event-ID": "-1"}, {"Last-Event-ID": "9" * 30}])

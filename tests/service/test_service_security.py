@@ -63,7 +63,9 @@ def test_two_tokens_are_refused(stranger: httpx.Client) -> None:
     assert slug(stranger.get(f"{API}/rig", headers=headers)) == "unauthorized"
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8321", "127.0.0.1.evil.example", "localhost@evil", "", "[::2]"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8321", "127.0.0.1.evil.example", "localhost@evil", "", "[::2]"]
+)
 def test_a_foreign_host_is_refused(client: httpx.Client, host: str) -> None:
     assert slug(client.get(f"{API}/health", headers={"Host": host})) == "foreign-host"
 

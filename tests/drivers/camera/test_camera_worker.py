@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import drivers
 from drivers.errors import DeviceLost, InstrumentError, NotConnected, TimedOut
 from drivers.values import CameraSettings, StopAnswer
 
@@ -242,3 +244,22 @@ def test_nothing_is_left(rig):
         camera.open()
     rig.twin.faults.replug()
     assert settled() == before
+
+
+def test_the_worker_is_of_the_same_copy_of_the_drivers(tmp_path):
+    """A checkout that is not installed, beside another that is; whatever lies in the working folder."""
+    copy, folder = tmp_path / "copy", tmp_path / "folder"
+    package = Path(drivers.__file__).parent
+    shutil.copytree(package, copy / "drivers", ignore=shutil.ignore_patterns("__pycache__"))
+    (copy / "drivers" / "camera" / "worker.py").write_text("raise SystemExit(7)")
+    (folder / "drivers").mkdir(parents=True)
+    (folder / "drivers" / "__init__.py").write_text("raise SystemExit(8)")
+    code = (
+        f"import sys; sys.path.insert(0, {str(copy)!r})\n"
+        "from drivers.camera.link import Link\n"
+        "link = Link('camera')\n"
+        "link.end()\n"
+        "print(link._process.returncode)\n"
+    )
+    result = subprocess.run([sys.executable, "-P", "-c", code], cwd=folder, capture_output=True, text=True, timeout=60)
+    assert result.stdout.strip() == "7", result.stderr

@@ -1,7 +1,9 @@
 """TI's API by ctypes, on a library of a few lines that says what it was called with."""
 
+import errno
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -213,6 +215,54 @@ def test_no_process_stays_behind(driver: LightCommander, leftovers: Callable[[],
         driver.close()
         assert child._process.returncode == 0
     assert leftovers() == before
+
+
+def test_a_library_that_hangs_does_not_outlive_the_program(fake: Fake, library: Path) -> None:
+    code = (
+        "from pathlib import Path\n"
+        "from drivers.projector.child import Child\n"
+        f"child = Child('p', 'drivers.projector.ti_process', {{'library': {str(library)!r}}})\n"
+        "child.greet()\n"
+        f"Path('{fake.place}.wish').write_text('hang')\n"
+        "print(child._process.pid, flush=True)\n"
+        "child.call('DLP_Display_DisplayStop', timeout_s=50, values={})\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as program:
+        assert program.stdout is not None
+        status = Path(f"/proc/{int(program.stdout.readline())}/stat")
+        end_s = time.monotonic() + 5.0
+        # The library takes the wish when it is called.
+        while Path(f"{fake.place}.wish").exists() and time.monotonic() < end_s:
+            time.sleep(0.02)
+        program.kill()
+    end_s = time.monotonic() + 5.0
+    while status.exists() and ") Z " not in status.read_text() and time.monotonic() < end_s:
+        time.sleep(0.05)
+    assert not status.exists() or ") Z " in status.read_text()
+
+
+def test_no_process_can_be_started(
+    driver: LightCommander, leftovers: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    before = leftovers()
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "Popen", refuse)
+        assert "cannot be started" in fails(driver.open, NotConnected, within_s=1.0).what
+    assert leftovers() == before
+    driver.open()
+
+
+def test_what_lies_in_the_working_folder_does_not_matter(
+    driver: LightCommander, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("drivers", "numpy"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit(1)")
+    monkeypatch.chdir(tmp_path)
+    driver.open()
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,11 @@
 """The line itself, through plain pyserial: wrong settings, unplugging, faults of the replies, and what stays
 behind."""
 
+import itertools
+import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -197,3 +201,31 @@ def test_nothing_stays_behind(tmp_path: Path) -> None:
             twin.close()
     assert count() == before
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_of_a_killed_world_leads_nowhere(link: Path) -> None:
+    """The kernel gives the terminal's number to the next one that is opened, anybody's."""
+    code = (
+        "import sys, time\nfrom pathlib import Path\nfrom sims.clock import Clock\n"
+        "from sims.stage import AxisSettings, Gsc, StageTwin\n"
+        f"StageTwin({{1: AxisSettings()}}, Gsc, Clock(), link=Path({str(link)!r})).start()\n"
+        "print('there', flush=True)\ntime.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as world:
+        try:
+            assert world.stdout is not None
+            assert world.stdout.readline() == b"there\n"
+            with serial.Serial(str(link), 9600, timeout=2, exclusive=True) as port:
+                assert ask(port, b"!:") == b"R\r\n"
+                with pytest.raises(serial.SerialException, match="exclusively"):
+                    serial.Serial(str(link), 9600, exclusive=True)
+        finally:
+            world.kill()
+    strangers = [os.openpty() for _ in range(4)]
+    try:
+        assert link.is_symlink()
+        with pytest.raises(serial.SerialException, match="No such file"):
+            serial.Serial(str(link), 9600)
+    finally:
+        for descriptor in itertools.chain(*strangers):
+            os.close(descriptor)
