@@ -24,6 +24,10 @@ from drivers.stage.motion import Move, Watch, begun
 from drivers.stage.port import LINE_LIMIT_S, acquire, never, release
 from drivers.values import Position, StageCapabilities, StageCondition, StageState, StopAnswer, TravelLimits
 
+# The last motions of controllers that never answer, by line and axis: each goes on to its end, whatever becomes of
+# the line, and of the driver that began it.
+_unseen: dict[tuple[str, int], Move] = {}
+
 
 class SerialStage:
     """One axis of a stage controller on a serial line (a `drivers.protocols.Stage`).
@@ -53,8 +57,6 @@ class SerialStage:
         self._counts = 0
         self._rested_at: int | None = None
         self._move: Move | None = None
-        # Of a controller that never answers: a motion goes on to its end, whatever becomes of line and driver.
-        self._unseen: Move | None = None
         self._target_mm: float | None = None
         self._failure: InstrumentError | None = None
         self._stopped = threading.Event()
@@ -261,12 +263,19 @@ class SerialStage:
         if controller is None or self._axis.dialect.actions.stop is None:
             # A move that is being started leaves this at once, either sent or cancelled.
             with self._starting:
-                move = self._move or self._unseen
-            left_s = _left_s(move)
+                left_s = max(self._unseen_left_s(), 0.0 if self._move is None else self._move.left_s())
             return StopAnswer(stopped=left_s == 0.0, ends_in_s=left_s)
         controller.port.connect(self._name, patience_s=0.0, cancelled=never)
-        self._watch(controller).halt()
-        return StopAnswer(stopped=True)
+        if controller.reads_position:
+            self._watch(controller).halt()
+            return StopAnswer(stopped=True)
+        # Told, but nobody hears whether it obeys, or where it came to rest.
+        controller.stop()
+        with self._starting:
+            left_s = self._unseen_left_s()
+        if left_s > 0.0:
+            self._scale = None
+        return StopAnswer(stopped=left_s == 0.0, ends_in_s=left_s)
 
     def position(self) -> Position:
         """Tell where the axis is now, measured where the controller tells it.
@@ -330,8 +339,16 @@ class SerialStage:
 
     # --- inside
 
+    @property
+    def _place(self) -> tuple[str, int]:
+        return self._axis.settings.port, self._axis.settings.axis
+
+    def _unseen_left_s(self) -> float:
+        move = _unseen.get(self._place)
+        return 0.0 if move is None else move.left_s()
+
     def _condition(self, status: Status | None) -> StageCondition:
-        moving = status.busy if status else _left_s(self._unseen) > 0.0
+        moving = status.busy if status else self._unseen_left_s() > 0.0
         if moving:
             return StageCondition.MOVING
         if status is not None and status.at_limit:
@@ -361,12 +378,13 @@ class SerialStage:
                 if not controller.reads_position:
                     # Whether the stage moves is not known, and nobody can ask: it may.
                     self._scale = None
-                    self._unseen = begun(self._axis, self._drive, start, target)
+                    _unseen[self._place] = begun(self._axis, self._drive, start, target)
                 raise
             if sent:
                 # Known to `stop` before it may look: it waits for `_starting`.
                 self._move = begun(self._axis, self._drive, start, target, at_limit=at_limit)
-                self._unseen = None if controller.reads_position else self._move
+                if not controller.reads_position:
+                    _unseen[self._place] = self._move
                 self._counts = target
                 return
         self._failure = MotionFailed(self._name, "stopped before the move began", "move again")
@@ -393,7 +411,7 @@ class SerialStage:
             )
 
     def _refuse_while_moving(self, controller: Controller) -> None:
-        if controller.busy() if controller.reads_position else _left_s(self._unseen) > 0.0:
+        if controller.busy() if controller.reads_position else self._unseen_left_s() > 0.0:
             raise Refused(self._name, "the axis still moves", "wait for it, or stop it")
 
     def _connected(self, *, patience_s: float) -> Controller:
@@ -429,7 +447,3 @@ class SerialStage:
             yield
         finally:
             self._operation.release()
-
-
-def _left_s(move: Move | None) -> float:
-    return 0.0 if move is None else move.left_s()

@@ -83,10 +83,14 @@ class Watch:
             `timeout_s` is shorter than that.
         DeviceLost
             The line went away: nobody knows where the stage is.
+        MotionFailed
+            It was told to stop: the same.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             self._controller.port.check(self._device)
+            if self._stopped.is_set() and self._axis.dialect.actions.stop is not None:
+                raise MotionFailed(self._device, "the motion was stopped", "look where the stage is, and zero it there")
             left_s = move.left_s()
             if left_s == 0.0:
                 return

@@ -4,6 +4,7 @@ import errno
 import socket
 import termios
 from typing import Any, Protocol, cast
+from urllib.parse import urlsplit
 
 import serial
 from serial.urlhandler import protocol_socket
@@ -73,6 +74,10 @@ def open_wire(url: str, line: Line) -> Wire:
         "write_timeout": WRITE_TIMEOUT_S,
     }
     if url.lower().startswith("socket://"):
+        # pyserial takes what it cannot read here for a line that is not there.
+        address = urlsplit(url)
+        if not address.hostname or not address.port:
+            raise ValueError("it names no host and port")
         connection = _Socket(None, **settings)
         connection.port = url
         connection.open()

@@ -20,7 +20,7 @@ from irpmd_rig.recipes.equipment import Equipment
 LOOK_S = 0.5
 ASK_S = 2.0
 # From the first attempt to bring an instrument back to the next, doubled each time up to the last.
-BACK_OFF_S = (1.0, 30.0)
+BACK_OFF_S = (1.0, 10.0)
 _GONE = (DeviceCondition.LOST, DeviceCondition.MISSING)
 
 _log = logging.getLogger(__name__)

@@ -21,6 +21,7 @@ class BenchName(StrEnum):
     latency = "latency"
     memory = "memory"
     render = "render"
+    service = "service"
 
 
 @app.command()

@@ -100,7 +100,9 @@ def _stage(rig: Rig, name: str) -> Found:
         "soft limits": f"{limits.lower_mm:g} to {limits.upper_mm:g} mm",
         "position": position,
     }
-    return found, can.unverified, ()
+    # Its line can be opened, and that is all: nothing was heard from it, and never will be.
+    silent = () if can.reads_position else (f"that a controller is there: {name} never answers; move it and look",)
+    return found, (*silent, *can.unverified), ()
 
 
 _LOOK: dict[str, Callable[[Rig, str], Found]] = {"camera": _camera, "projector": _projector, "stage": _stage}

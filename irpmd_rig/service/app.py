@@ -10,7 +10,7 @@ from fastapi.routing import APIRoute
 from irpmd_rig.acquisition.daemon import RigDaemon
 from irpmd_rig.service import device_routes, event_routes, file_routes, page_routes, rig_routes, run_routes
 from irpmd_rig.service.desk import Desk
-from irpmd_rig.service.faults import add_handlers
+from irpmd_rig.service.faults import Net, add_handlers
 from irpmd_rig.service.observe import Observe
 from irpmd_rig.service.openapi import described
 from irpmd_rig.service.security import Guard
@@ -33,6 +33,7 @@ def create_app(daemon: RigDaemon, settings: ServiceSettings) -> FastAPI:
     desk = Desk(daemon, settings)
     app.state.desk = desk
     # The last one is the outermost: what is refused is observed, too.
+    app.add_middleware(Net)
     app.add_middleware(Guard, settings=settings)
     app.add_middleware(Observe, figures=desk.figures)
     return app

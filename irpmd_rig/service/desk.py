@@ -40,7 +40,8 @@ class Pool:
 
     def __init__(self, threads: int, waiting: int = 64) -> None:
         self._limiter = CapacityLimiter(threads)
-        self._waiting = waiting
+        self._limit = threads + waiting
+        self._calls = 0
 
     async def __call__(self, call: Callable[Given, Result], *args: Given.args, **kwargs: Given.kwargs) -> Result:
         """Call in a thread.
@@ -50,10 +51,15 @@ class Pool:
         ProblemError
             too-busy.
         """
-        if self._limiter.statistics().tasks_waiting >= self._waiting:
+        if self._calls >= self._limit:
             raise ProblemError(Problem("too-busy", "too many requests of this kind wait", headers={"Retry-After": "1"}))
-        # Left to itself when the service ends: an instrument may be at it, and the daemon stops that one.
-        return await to_thread.run_sync(partial(call, *args, **kwargs), abandon_on_cancel=True, limiter=self._limiter)
+        self._calls += 1
+        try:
+            # Left to itself when the service ends: an instrument may be at it, and the daemon stops that one.
+            asked = partial(call, *args, **kwargs)
+            return await to_thread.run_sync(asked, abandon_on_cancel=True, limiter=self._limiter)
+        finally:
+            self._calls -= 1
 
 
 class Desk:
@@ -63,6 +69,8 @@ class Desk:
     ----------
     asking
         Threads for questions, which the daemon answers at once.
+    listing
+        Threads for questions about runs, which may wait while one is taken in.
     commanding
         Threads for commands to instruments and runs.
     stopping
@@ -81,6 +89,7 @@ class Desk:
         self.daemon = daemon
         self.settings = settings
         self.asking = Pool(8)
+        self.listing = Pool(4)
         self.commanding = Pool(8, waiting=16)
         self.stopping = Pool(4)
         self.reading = Pool(2)

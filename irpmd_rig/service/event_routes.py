@@ -42,7 +42,7 @@ async def run_events(
     desk: TheDesk, run_id: str, after_id: LastEventId = None, limit: Limit = None
 ) -> EventSourceResponse:
     """What happens to one run."""
-    await desk.asking(desk.daemon.store.run, run_id)
+    await desk.listing(desk.daemon.store.run, run_id)
     return await _stream(desk, after_id, run_id, limit)
 
 

@@ -11,6 +11,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drivers.errors import (
     DeviceLost,
@@ -112,7 +113,6 @@ def add_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ProblemError, _answer(lambda error: error.problem))  # type: ignore[attr-defined]
     app.add_exception_handler(RequestValidationError, _answer(_invalid))
     app.add_exception_handler(HTTPException, _answer(_http))
-    app.add_exception_handler(Exception, _answer(_fault))
 
 
 def _answer(told: Callable[[Exception], Problem]) -> Callable[[Request, Exception], Any]:
@@ -147,6 +147,26 @@ def _http(error: Exception) -> Problem:
     return Problem("malformed-json", "the body cannot be read as JSON")
 
 
-def _fault(error: Exception) -> Problem:
-    # The framework's outermost layer raises it again, so that it is logged with its place.
-    return Problem("fault", f"{type(error).__name__}: see the log")
+class Net:
+    """ASGI middleware that answers a fault of the program with a problem, and logs where it happened."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        began = False
+
+        async def noted(message: Message) -> None:
+            nonlocal began
+            began = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, noted)
+        except Exception as error:
+            if began or scope["type"] != "http":
+                raise
+            _log.exception("a fault of the program")
+            problem = Problem("fault", f"{type(error).__name__}: see the log")
+            await problem.response(scope["path"])(scope, receive, send)

@@ -63,6 +63,8 @@ def configure(active_run: Callable[[], str | None], stream: TextIO = sys.stderr,
 
 def _with_run(active_run: Callable[[], str | None]) -> Processor:
     def with_run(_: WrappedLogger, __: str, entry: EventDict) -> EventDict:
+        # The same once more, with control characters.
+        entry.pop("color_message", None)
         if "run_id" not in entry:
             named = _RUN.search(str(entry.get("event", "")))
             run_id = named[0] if named else None

@@ -34,7 +34,7 @@ async def health_at_root() -> Health:
 )
 async def metrics(desk: TheDesk) -> Response:
     """Figures, as Prometheus reads them."""
-    content = await desk.asking(generate_latest, desk.figures.registry)
+    content = await desk.listing(generate_latest, desk.figures.registry)
     return Response(content, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
 

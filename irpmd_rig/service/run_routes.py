@@ -95,13 +95,13 @@ async def runs(
         found = (status for status in desk.daemon.runs() if before is None or status.id < before)
         return tuple(Run.model_validate(status) for status, _ in zip(found, range(limit), strict=False))
 
-    return await desk.asking(newest)
+    return await desk.listing(newest)
 
 
 @router.get("/runs/{run_id}", responses=problems(*RUN, "invalid"), tags=["runs"])
 async def run(desk: TheDesk, run_id: str) -> Run:
     """One run: state, reason, progress, estimate, results."""
-    return Run.model_validate(await desk.asking(desk.daemon.run, run_id))
+    return Run.model_validate(await desk.listing(desk.daemon.run, run_id))
 
 
 @router.post(
@@ -147,13 +147,13 @@ async def queue_action(desk: TheDesk, order: QueueAction) -> Queue:
 @router.get("/calibrations", responses=problems(*DISK, "unreadable-run"), tags=["calibrations"])
 async def calibrations(desk: TheDesk) -> tuple[Calibration, ...]:
     """Calibrations that measurements may use, newest first."""
-    return await desk.asking(lambda: tuple(_calibration(item) for item in desk.daemon.calibrations()))
+    return await desk.listing(lambda: tuple(_calibration(item) for item in desk.daemon.calibrations()))
 
 
 @router.get("/references", responses=problems(*DISK, "unreadable-run"), tags=["calibrations"])
 async def references(desk: TheDesk) -> tuple[Calibration, ...]:
     """References that measurements may use, newest first."""
-    return await desk.asking(lambda: tuple(_calibration(item) for item in desk.daemon.references()))
+    return await desk.listing(lambda: tuple(_calibration(item) for item in desk.daemon.references()))
 
 
 @router.post(
@@ -163,7 +163,7 @@ async def references(desk: TheDesk) -> tuple[Calibration, ...]:
 )
 async def activate_calibration(desk: TheDesk, run_id: str) -> Calibration:
     """Let recipes that say `active` get this calibration."""
-    return _calibration(await desk.asking(desk.daemon.activate, run_id))
+    return _calibration(await desk.listing(desk.daemon.activate, run_id))
 
 
 @router.post(
@@ -173,7 +173,7 @@ async def activate_calibration(desk: TheDesk, run_id: str) -> Calibration:
 )
 async def activate_reference(desk: TheDesk, run_id: str) -> Calibration:
     """Let recipes that say `active` get this reference."""
-    return _calibration(await desk.asking(desk.daemon.activate, run_id))
+    return _calibration(await desk.listing(desk.daemon.activate, run_id))
 
 
 def _calibration(item: LibraryItem) -> Calibration:

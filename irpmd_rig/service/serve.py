@@ -136,6 +136,8 @@ def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = 
     ------
     AlreadyRunning
         Another daemon works on the store.
+    FileNotFoundError
+        There is no such rig file.
     OSError
         Somebody else listens there.
     """
@@ -144,7 +146,7 @@ def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = 
         configure(lambda: None)
         try:
             rig_file = read_rig(rig, deep=False)
-        except (DocumentError, OSError) as error:
+        except DocumentError as error:
             with _listening(_service_of(rig), port) as line:
                 process.answer_broken(error, _service_of(rig), line)
             return
@@ -173,14 +175,16 @@ class _Process:
             return
         try:
             configure(lambda: daemon.queue_status().active_run)
-            token = read_token(daemon.store.root)
-            daemon.start()
+            try:
+                token = read_token(daemon.store.root)
+                daemon.start()
+            except _CANNOT_START as error:
+                daemon.close()
+                self.answer_broken(error, rig_file.service, line)
+                return
             app = create_app(daemon, _settings(rig_file.service, token))
             _log.info("serves %s; the token is in %s", rig_file.name, daemon.store.root / NAME)
             self._run(Server(app, line, self._notifier, app.state.desk.close, daemon.close))
-        except _CANNOT_START as error:
-            daemon.close()
-            self.answer_broken(error, rig_file.service, line)
         finally:
             # Nothing interrupts this any more.
             self._ends = True

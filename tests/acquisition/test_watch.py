@@ -120,9 +120,9 @@ def test_what_is_gone_is_opened_again_with_growing_pauses(watch: Watch, rig: Rig
         if len(rig.reopened) > before:
             tried_s.append(clock.now_s - 1000.0)
         clock.now_s += 0.5
-    assert tried_s[:6] == [0.0, 1.0, 3.0, 7.0, 15.0, 31.0]
+    assert tried_s[:6] == [0.0, 1.0, 3.0, 7.0, 15.0, 25.0]
     pauses = {later - earlier for earlier, later in pairwise(tried_s[5:])}
-    assert pauses == {30.0}
+    assert pauses == {10.0}
     assert rig.refreshed == 0
 
 

@@ -20,7 +20,7 @@ import psutil
 
 from irpmd_rig.client import ClientError, ProblemError
 from tests.campaigns import lab as labs
-from tests.campaigns.lab import Daemon, Lab, TooLate, alive
+from tests.campaigns.lab import Daemon, Lab, TooLate, alive, until
 from tests.campaigns.on_disk import complaints, durable_frames, lost_frames, pictures, shifted
 from tests.campaigns.recipes import stations
 from tests.campaigns.report import Report
@@ -131,7 +131,7 @@ class Campaign:
         self.daemon.resume()
         durable: dict[str, str] = {}
         for fault in names:
-            time.sleep(chance.uniform(0.0, 0.8 * self.typical_s / len(names)))
+            self._wait(run_id)
             durable |= durable_frames(self.lab.root / run_id)
             self._inject(fault, run_id)
         told = f"{run_id} {names}"
@@ -152,6 +152,18 @@ class Campaign:
         if run.state != "succeeded" and chance.random() < 0.5:
             self._retry(run_id, told)
         self.daemon.client.delete_run(run_id)
+
+    def _wait(self, run_id: str) -> None:
+        """Wait for a random moment of a run: how long it takes depends on what else the machine does."""
+        frames = self.chance.choice([None, 0, 0, 6, 12])
+
+        def far_enough() -> bool:
+            run = self.daemon.client.run(run_id)
+            begun = run.state not in ("queued", "preparing") or frames is None
+            return run.state in labs.FINAL or (begun and (run.frames or 0) >= (frames or 0))
+
+        until(far_enough, END_BOUND_S, f"frame {frames} of run {run_id}")
+        time.sleep(self.chance.uniform(0.0, 0.25 * self.typical_s))
 
     def _inject(self, fault: str, run_id: str) -> None:
         self.report.count("faults")

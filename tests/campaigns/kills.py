@@ -9,14 +9,14 @@ import argparse
 import random
 import sys
 import time
-from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from irpmd_rig.client import ClientError
 from tests.campaigns import lab as labs
 from tests.campaigns.faults import tail
-from tests.campaigns.lab import Daemon, Lab, TooLate, until
+from tests.campaigns.lab import Lab, TooLate
 from tests.campaigns.on_disk import complaints, durable_frames, lost_frames
 from tests.campaigns.recipes import MEASURE, use_calibration
 from tests.campaigns.report import Report
@@ -38,47 +38,56 @@ class Kills:
     def __init__(self, lab: Lab, report: Report, seed: int) -> None:
         self.lab, self.report = lab, report
         self.chance = random.Random(seed)
-        with lab.daemon() as daemon:
-            # Once for the caches, once for the time that it takes.
-            daemon.carry_out(MEASURE)
+        self._stack = ExitStack()
+        self.start()
+        # Once for the caches, once for the time that it takes.
+        for _ in range(2):
+            run_id = self.daemon.submit(MEASURE)
+            self.daemon.resume()
             began_s = time.monotonic()
-            run = daemon.carry_out(MEASURE)
+            run = self.daemon.ended(run_id, END_BOUND_S)
             self.typical_s = time.monotonic() - began_s
             assert run.state == "succeeded", run.detail
-            assert not self.wrong_steps(daemon, run.id)
+            assert not self.wrong_steps(run_id)
+
+    def close(self) -> None:
+        """End the daemon."""
+        self._stack.close()
+
+    def start(self) -> None:
+        """Start a daemon in the place of the one that is there, if it is."""
+        self.close()
+        self.daemon = self._stack.enter_context(self.lab.daemon())
 
     def kill(self) -> None:
         """One run, one kill, and what comes after."""
         victim = self.chance.choice(HELPERS) if self.chance.random() < 0.25 else "daemon"
-        wait_s = self.chance.uniform(0.0, self.typical_s)
+        wait_s = self.chance.uniform(0.0, 0.95 * self.typical_s)
         told = f"{victim} after {wait_s:.2f} s"
         self.report.count(f"killed_{victim}")
-        with self.lab.daemon() as daemon:
-            run_id = daemon.submit(MEASURE)
-            daemon.resume()
-            time.sleep(wait_s)
-            if victim == "daemon":
-                daemon.kill()
-                durable = durable_frames(self.lab.root / run_id)
-            else:
-                self._of_helper(daemon, victim, run_id, told)
+        run_id = self.daemon.submit(MEASURE)
+        self.daemon.resume()
+        time.sleep(wait_s)
         if victim == "daemon":
-            self._look_at_disk(run_id, durable, told, whole=False)
-            with self.lab.daemon() as daemon:
-                if unrest := self.lab.unrest():
-                    self.report.blame("left_on", (told, unrest))
-                self._look(daemon, run_id, durable, victim, told)
+            self.daemon.kill()
+            durable = durable_frames(self.lab.root / run_id)
+            self.start()
+            if unrest := self.lab.unrest():
+                self.report.blame("left_on", (told, unrest))
+        else:
+            durable = self._of_helper(victim, run_id)
+        self._look(run_id, durable, victim, told)
 
-    def _of_helper(self, daemon: Daemon, victim: str, run_id: str, told: str) -> None:
-        helper = daemon.helpers().get(victim)
+    def _of_helper(self, victim: str, run_id: str) -> dict[str, str]:
+        helper = self.daemon.helpers().get(victim)
         if helper is not None:
             helper.kill()
         durable = durable_frames(self.lab.root / run_id)
-        daemon.ended(run_id, END_BOUND_S)
-        until(lambda: victim in daemon.helpers() or victim == "processing", 30.0, "another process")
-        self._look(daemon, run_id, durable, victim, told)
+        self.daemon.ended(run_id, END_BOUND_S)
+        return durable
 
-    def _look(self, daemon: Daemon, run_id: str, durable: dict[str, str], victim: str, told: str) -> None:
+    def _look(self, run_id: str, durable: dict[str, str], victim: str, told: str) -> None:
+        daemon = self.daemon
         run = daemon.client.run(run_id)
         self.report.count(f"{run.state}")
         states, reasons = EXPLAINED[victim]
@@ -95,21 +104,21 @@ class Kills:
             run = daemon.retry(run_id, END_BOUND_S)
         if run.state != "succeeded":
             self.report.blame("failed_retries", (told, run.state, run.reason, run.detail))
-        elif wrong := self.wrong_steps(daemon, run_id):
+        elif wrong := self.wrong_steps(run_id):
             self.report.blame("false_successes", (told, wrong))
         self._look_at_disk(run_id, durable, f"{told}, retried")
         daemon.client.delete_run(run_id)
 
-    def _look_at_disk(self, run_id: str, durable: dict[str, str], told: str, *, whole: bool = True) -> None:
+    def _look_at_disk(self, run_id: str, durable: dict[str, str], told: str) -> None:
         folder: Path = self.lab.root / run_id
         if lost := lost_frames(folder, durable):
             self.report.blame("lost_frames", (told, lost), len(lost))
-        if whole and (wrong := complaints(folder)):
+        if wrong := complaints(folder):
             self.report.blame("undefined", (told, wrong))
 
-    def wrong_steps(self, daemon: Daemon, run_id: str) -> list[Any]:
+    def wrong_steps(self, run_id: str) -> list[Any]:
         """Steps of a measurement that are not what the object has."""
-        steps = daemon.client.result(run_id)["steps"]
+        steps = self.daemon.client.result(run_id)["steps"]
         assert len(steps) == 4
         return [step for step in steps if abs(step["deviation_um"]) > SIGMAS * step["uncertainty_um"]]
 
@@ -121,19 +130,19 @@ def campaign(kills: int, seed: int, calibration: Path | None = None) -> Report:
     with labs.lab() as lab:
         use_calibration(lab, calibration)
         here = Kills(lab, report, seed)
-        _repeat(here.kill, kills, lab, report)
+        try:
+            for number in range(kills):
+                try:
+                    here.kill()
+                except (TooLate, ClientError, AssertionError) as error:
+                    report.blame("hangs", f"kill {number}: {error!r}; the log ends {tail(lab)}")
+                    here.start()
+        finally:
+            here.close()
         if unrest := lab.unrest():
             report.blame("left_on", unrest)
     report.figures["duration_s"] = round(time.monotonic() - began_s, 1)
     return report
-
-
-def _repeat(kill: Callable[[], None], kills: int, lab: Lab, report: Report) -> None:
-    for number in range(kills):
-        try:
-            kill()
-        except (TooLate, ClientError, AssertionError) as error:
-            report.blame("hangs", f"kill {number}: {error!r}; the log ends {tail(lab)}")
 
 
 def main() -> int:

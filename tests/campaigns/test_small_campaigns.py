@@ -1,4 +1,4 @@
-"""The campaigns in the size that fits among tests; their full sizes are commands (`python -m tests.campaigns.faults`)."""
+"""The campaigns in the size that fits among tests; in their full sizes they are commands."""
 
 import json
 

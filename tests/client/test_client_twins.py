@@ -10,7 +10,7 @@ from irpmd_rig.service.app import PREFIX, routed
 NOT_FOR_SCRIPTS = {"/devices", "/devices/camera/live", "/openapi.json", "/problems/{slug}"}
 GIVEN = {
     "recipe": "name",
-    "reference": True,
+    "reference": False,
     "override": False,
     "duration_s": 60.0,
     "limit": 9,

@@ -153,6 +153,7 @@ def test_a_whole_walk_lights_moves_and_writes_it_down(world, lab):
     assert move["values"]["position_is"] == "estimated"
     assert position_mm(world) == pytest.approx(0.0, abs=0.02)
     assert sum("Did you check it" in question for question in person.asked) >= 10
+    assert any("stage1 never answers" in check for check in checks(record, "stage1"))
 
     nodes = lab.with_name("record-camera-nodes.csv").read_text(encoding="utf-8")
     assert "ExposureTime," in nodes

@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,39 +80,57 @@ def client(url: str, token: str = "") -> httpx.Client:
     return httpx.Client(base_url=url, headers=headers, trust_env=False, verify=False, timeout=20.0)
 
 
+class Manager:
+    """Takes what a service tells systemd."""
+
+    def __init__(self, path: Path) -> None:
+        self.told: list[str] = []
+        self._line = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._line.bind(str(path))
+        self._thread = threading.Thread(target=self._take)
+        self._thread.start()
+
+    def _take(self) -> None:
+        while told := self._line.recv(4096):
+            self.told.append(told.decode())
+
+    def count(self, what: str) -> int:
+        return sum(what in told.splitlines() for told in self.told)
+
+    def __enter__(self) -> "Manager":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+            end.sendto(b"", self._line.getsockname())
+        self._thread.join(10)
+        self._line.close()
+
+
 def test_it_is_supervised_answers_and_ends_at_rest(rig: Path, tmp_path: Path, lab: WorldControl) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(20)
-        watched = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "300000"}
-        with process(rig, tmp_path, **watched) as daemon:
-            url = daemon.url()
-            told = [manager.recv(4096).decode()]
-            while "READY=1" not in told[-1]:
-                told.append(manager.recv(4096).decode())
-            assert f"STATUS=answers at {url}" in told[-1]
-            token_file = tmp_path / "store" / "token"
-            assert token_file.stat().st_mode & 0o777 == 0o600
-            with client(url, token_file.read_text().strip()) as asker:
-                assert asker.get("/health").json() == {"status": "ok"}
-                held = {"X-Lease": asker.post(f"{API}/lease", json={"owner": "Ada"}).json()["id"]}
-                lit = {"led": "infrared", "intensity": 0.3}
-                assert asker.post(f"{API}/devices/projector/led", json=lit, headers=held).status_code == 204
-                assert lab.call("state")["intensity"] == pytest.approx(0.3, abs=0.01)
-                # Fed by the event loop at a third of what systemd allows.
-                fed = 0
-                while fed < 3:
-                    fed += "WATCHDOG=1" in manager.recv(4096).decode()
-                second = subprocess.run(daemon_command(rig), capture_output=True, text=True, timeout=60)
-                assert second.returncode != 0
-                assert "another daemon works on" in second.stderr
-                with asker.stream("GET", f"{API}/events") as events:
-                    # An open stream does not keep it from ending.
-                    next(events.iter_raw())
-                    assert daemon.end() == 0
-            ends = []
-            while not ends or "STOPPING=1" not in ends[-1]:
-                ends.append(manager.recv(4096).decode())
+    watched = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "300000"}
+    with Manager(tmp_path / "notify") as manager, process(rig, tmp_path, **watched) as daemon:
+        url = daemon.url()
+        until(lambda: manager.count("READY=1") == 1)
+        assert manager.count(f"STATUS=answers at {url}") == 1
+        token_file = tmp_path / "store" / "token"
+        assert token_file.stat().st_mode & 0o777 == 0o600
+        with client(url, token_file.read_text().strip()) as asker:
+            assert asker.get("/health").json() == {"status": "ok"}
+            held = {"X-Lease": asker.post(f"{API}/lease", json={"owner": "Ada"}).json()["id"]}
+            lit = {"led": "infrared", "intensity": 0.3}
+            assert asker.post(f"{API}/devices/projector/led", json=lit, headers=held).status_code == 204
+            assert lab.call("state")["intensity"] == pytest.approx(0.3, abs=0.01)
+            # Fed by the event loop.
+            until(lambda: manager.count("WATCHDOG=1") >= 3)
+            second = subprocess.run(daemon_command(rig), capture_output=True, text=True, timeout=60)
+            assert second.returncode != 0
+            assert "another daemon works on" in second.stderr
+            with asker.stream("GET", f"{API}/events") as events:
+                # An open stream does not keep it from ending.
+                next(events.iter_raw())
+                assert daemon.end() == 0
+        assert manager.count("STOPPING=1") == 1
     state = lab.call("state")
     assert not state["intensity"]
     assert not any(stage["moving"] for stage in state["stages"].values())

@@ -49,6 +49,10 @@ def test_a_rig_file_may_override_the_line(peer_at: PeerAt, stage_on: Build, gsc:
         ("/etc/hostname", "plug it in"),
         ("socket://127.0.0.1:1", "plug it in"),
         ("nonsense://x", "socket://host:port"),
+        ("socket://", "socket://host:port"),
+        ("socket://127.0.0.1", "socket://host:port"),
+        ("socket://127.0.0.1:http", "socket://host:port"),
+        ("socket://127.0.0.1:99999", "socket://host:port"),
     ],
 )
 def test_a_wrong_port_says_what_mends_it(peer_at: PeerAt, stage_on: Build, gsc: Gsc, port: str, remedy: str) -> None:

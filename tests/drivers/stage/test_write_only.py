@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -188,11 +189,17 @@ def test_an_unplug_during_the_move_leaves_no_position(stage: SerialStage, peer: 
     assert stage.wait() == Position(3.1, measured=False)
 
 
-def test_closing_does_not_end_a_move(stage: SerialStage) -> None:
+@pytest.mark.parametrize("again", [False, True])
+def test_closing_does_not_end_a_move(
+    stage: SerialStage, peer: Peer, stage_on: Build, quick: Callable[[str], str], again: bool
+) -> None:
+    """Nor does a new driver of the same stage take it for a stage at rest."""
     stage.zero(0.0, confirmed_by="Ada")
     stage.move_to(20.0)
     stage.close()
     assert stage.stop().stopped is False
+    if again:
+        stage = stage_on(peer, quick("gcd-0301m"), opened=False, **FACTS)
     stage.open()
     assert stage.stop().stopped is False
     assert stage.state().condition == StageCondition.MOVING
@@ -201,6 +208,34 @@ def test_closing_does_not_end_a_move(stage: SerialStage) -> None:
     time.sleep(stage.stop().ends_in_s)
     assert stage.state().condition == StageCondition.NO_ZERO
     stage.zero(0.0, confirmed_by="Ada")
+
+
+def test_a_stop_that_nobody_hears_of_is_sent_but_not_believed(
+    peer: Peer, stage_on: Build, quick: Callable[[str], str]
+) -> None:
+    """A lab that found out how its box is stopped, and still cannot ask it where it is."""
+    dialect = Path(quick("gcd-0301m"))
+    dialect.write_text(dialect.read_text().replace("replies: null", '  stop:\n    - {send: "@0T"}\nreplies: null'))
+    stage = stage_on(peer, str(dialect), **FACTS)
+    stage.zero(0.0, confirmed_by="Ada")
+    assert stage.stop() == StopAnswer(stopped=True)
+    stage.move_to(20.0)
+    answers: list[StopAnswer] = []
+    timer = threading.Timer(0.2, lambda: answers.append(stage.stop()))
+    timer.start()
+    with pytest.raises(MotionFailed, match="was stopped"):
+        stage.wait()
+    timer.join()
+    assert peer.heard[-1] == b"@0T\r\n"
+    assert answers[0].stopped is False
+    assert 0.0 < answers[0].ends_in_s < 1.0
+    assert stage.state().position is None
+    with pytest.raises(Refused, match="no zero"):
+        stage.move_to(1.0)
+    time.sleep(answers[0].ends_in_s)
+    stage.zero(4.0, confirmed_by="Ada")
+    stage.move_to(4.1)
+    assert stage.wait() == Position(4.1, measured=False)
 
 
 @pytest.mark.parametrize("missing", ["counts_per_mm", "speeds", "ramp_s"])
