@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import sysconfig
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,13 @@ KILL_S = 2.0
 # Where this package was imported from, so that the process finds it, and no other copy of it.
 HERE = str(Path(__file__).parents[2])
 _log = logging.getLogger(__name__)
+
+
+def _environment() -> dict[str, str] | None:
+    """Let the process find this copy of the package; an installed one it finds by itself."""
+    if HERE in (sysconfig.get_path("purelib"), sysconfig.get_path("platlib")):
+        return None
+    return os.environ | {"PYTHONPATH": os.pathsep.join([HERE, *filter(None, [os.getenv("PYTHONPATH")])])}
 
 
 class Link:
@@ -51,7 +59,7 @@ class Link:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),), start_new_session=True,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join([HERE, *filter(None, [os.getenv("PYTHONPATH")])])},
+                env=_environment(),
             )  # fmt: skip
         except OSError:
             ours.close()

@@ -263,7 +263,8 @@ class SerialStage:
         if controller is None or self._axis.dialect.actions.stop is None:
             # A move that is being started leaves this at once, either sent or cancelled.
             with self._starting:
-                left_s = max(self._unseen_left_s(), 0.0 if self._move is None else self._move.left_s())
+                move = self._move
+            left_s = max(self._unseen_left_s(), 0.0 if move is None else move.left_s())
             return StopAnswer(stopped=left_s == 0.0, ends_in_s=left_s)
         controller.port.connect(self._name, patience_s=0.0, cancelled=never)
         if controller.reads_position:

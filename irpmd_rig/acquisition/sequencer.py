@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from drivers.protocols import Position
+from drivers.protocols import DeviceLost, Position, Refused
 from irpmd_rig.acquisition.capture import Photographer
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
@@ -177,9 +177,19 @@ class Sequencer:
         for name, target_mm in targets(station).items():
             self._run.conduct.check()
             self._finish_move(name)
-            check_move(self._rig, name, target_mm)
+            self._may_move(name, target_mm)
             self._run.doing(f"{name} to {target_mm:g} mm")
             self._positions[name] = self._photographer.move(name, target_mm)
+
+    def _may_move(self, name: str, target_mm: float) -> None:
+        try:
+            check_move(self._rig, name, target_mm)
+        except Refused as error:
+            if self._rig.stage(name).state().position is None:
+                # It had one when the run began.
+                what = "the axis lost its zero during the run: its line or its controller was away"
+                raise DeviceLost(name, what, "look at cable and power, then retry the run") from error
+            raise
 
     def _finish_move(self, name: str) -> None:
         """Wait for a move that was begun ahead: whatever went wrong with it is told, also if it ended elsewhere."""
@@ -193,7 +203,7 @@ class Sequencer:
         if not following or following[0].prompt is not None or self._run.conduct.asked is not None:
             return
         for name, target_mm in targets(following[0]).items():
-            check_move(self._rig, name, target_mm)
+            self._may_move(name, target_mm)
             self._begun.add(name)
             self._photographer.begin_move(name, target_mm)
 

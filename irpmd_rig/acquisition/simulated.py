@@ -14,7 +14,6 @@ import select
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -27,6 +26,7 @@ from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.errors import SimulationError
 from irpmd_rig.acquisition.rig_file import Checkerboard, Device, RigFile, Simulation, is_idle
 from irpmd_rig.core import Drawing
+from irpmd_rig.programs import module_command, module_environment
 
 if TYPE_CHECKING:
     from irpmd_rig.recipes.plan import Scene
@@ -43,11 +43,16 @@ def runtime_folder() -> Path:
     Raises
     ------
     SimulationError
-        It belongs to somebody else.
+        It cannot be made, or belongs to somebody else.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(runtime) / "irpmd-rig" if runtime else Path(tempfile.gettempdir()) / f"irpmd-rig-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise SimulationError(
+            f"the folder {folder} cannot be made: {error.strerror}", "set XDG_RUNTIME_DIR to a folder of yours"
+        ) from None
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():
         raise SimulationError(
             f"the folder {folder} belongs to another user", "set XDG_RUNTIME_DIR to a folder of yours"
@@ -84,7 +89,7 @@ def running_world(folder: Path | None = None) -> WorldControl:
 
 def serve_command(world: Path, folder: Path, options: Mapping[str, object], *, replay: bool = False) -> list[str]:
     """Command that serves a world in a folder; options by their names on its command line, None: not given."""
-    command = [sys.executable, "-m", "sims", "serve", str(world), "--folder", str(folder)]
+    command = module_command("sims", "serve", str(world), "--folder", str(folder))
     for name, value in options.items():
         command += [] if value is None else [f"--{name}", str(value)]
     return [*command, *(["--replay"] if replay else [])]
@@ -230,7 +235,12 @@ class _Child:
         command.append("--until-stdin-closes")
         # Its own session: Ctrl-C is for this process, which ends the world after the instruments.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            start_new_session=True,
+            env=module_environment(),
         )
         try:
             self._await_ready()

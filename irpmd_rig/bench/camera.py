@@ -19,6 +19,7 @@ from drivers.protocols import Camera, CameraSettings, FramesLost
 from drivers.registry import make
 from irpmd_rig.bench.ticker import lateness_ms
 from irpmd_rig.bench.timing import Row
+from irpmd_rig.programs import module_command, module_environment
 
 XIQ_FPS = 90.3
 """Frames a second of the real camera at full size: what a driver has to keep up with."""
@@ -97,9 +98,11 @@ def twin_camera(size_px: int, pace: str) -> Iterator[Camera]:
 @contextmanager
 def _twin(folder: Path, size_px: int, pace: str) -> Iterator[str]:
     # Run, not imported: the simulator is another program. It ends when its standard input does.
-    command = [sys.executable, "-m", "sims", "camera", str(folder), "--size-px", str(size_px)]
+    command = module_command("sims", "camera", str(folder), "--size-px", str(size_px))
     command += ["--unpaced"] if pace == "unpaced" else []
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=module_environment()
+    ) as process:
         assert process.stdin
         assert process.stdout
         try:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 
 from irpmd_rig.bench.timing import Row
+from irpmd_rig.programs import module_command, module_environment
 
 
 def run() -> list[Row]:
@@ -18,7 +18,11 @@ def run() -> list[Row]:
         If the simulator cannot be run.
     """
     ended = subprocess.run(
-        [sys.executable, "-m", "sims", "render-bench", "--json"], capture_output=True, text=True, check=False
+        module_command("sims", "render-bench", "--json"),
+        capture_output=True,
+        text=True,
+        check=False,
+        env=module_environment(),
     )
     if ended.returncode:
         raise OSError(f"python -m sims render-bench failed: {ended.stderr.strip()}")

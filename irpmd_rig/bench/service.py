@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
-import socket
 import subprocess
 import sys
 import tempfile
@@ -31,7 +30,7 @@ from irpmd_rig.bench.timing import Row
 from irpmd_rig.processing import Worker
 from irpmd_rig.service.app import create_app
 from irpmd_rig.service.notify import Notifier
-from irpmd_rig.service.serve import Server
+from irpmd_rig.service.serve import Server, listen
 from irpmd_rig.service.settings import ServiceSettings
 from irpmd_rig.service.token import read_token
 from irpmd_rig.store import Store
@@ -88,7 +87,7 @@ def run(size_px: int = 2048, requests: int = 1000) -> list[Row]:
 @contextmanager
 def _served(folder: Path) -> Iterator[tuple[str, str]]:
     """Serve a simulated rig from this process; gives address and token."""
-    with RigDaemon(_rig_file(folder / "data"), threads=1) as daemon, socket.create_server(("127.0.0.1", 0)) as line:
+    with RigDaemon(_rig_file(folder / "data"), threads=1) as daemon, listen("127.0.0.1", 0) as line:
         token = read_token(daemon.store.root)
         app = create_app(daemon, ServiceSettings(token))
         server = Server(app, line, Notifier({}), app.state.desk.close)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from irpmd_rig.cli.application import app, note, say
+from irpmd_rig.programs import module_command, module_environment
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -126,9 +126,15 @@ def _equipment(rig: str) -> Equipment:
 
 def _checked_world(path: Path) -> str:
     """Let the simulator check its own file: it is a program apart."""
-    command = [sys.executable, "-m", "sims", "check", str(path)]
+    command = module_command("sims", "check", str(path))
     ended = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WORLD_LIMIT_S, check=False
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=WORLD_LIMIT_S,
+        check=False,
+        env=module_environment(),
     )
     if ended.returncode == 0:
         return "world, right: " + ended.stdout.strip().rpartition(": valid; ")[2]

@@ -39,12 +39,13 @@ def sim(
 ) -> None:
     """Serve a simulated world until Ctrl-C; rigs whose file names this world use it."""
     from irpmd_rig.acquisition.simulated import default_folder, serve_command
+    from irpmd_rig.programs import module_environment
     from irpmd_rig.shipped import world_file
 
     file = world_file(world)
     options = {"seed": seed, "size-px": size_px, "time-scale": time_scale, "stages": stages, "faults": faults}
     command = serve_command(file, folder or default_folder(file), options, replay=replay)
-    os.execv(command[0], command)  # it takes the place of this process, and so its signals
+    os.execve(command[0], command, module_environment())  # it takes the place of this process, and so its signals
 
 
 @app.command()

@@ -6,7 +6,6 @@ import contextlib
 import json
 import queue
 import subprocess
-import sys
 import threading
 from dataclasses import dataclass
 from io import StringIO
@@ -18,6 +17,7 @@ from ruamel.yaml import YAML
 
 from irpmd_rig.client import Client, ProblemError
 from irpmd_rig.core.errors import MeasurementError
+from irpmd_rig.programs import module_command, module_environment
 from irpmd_rig.shipped import rig_file
 
 # The first start on a machine compiles the camera's producer and the kernels of both sides.
@@ -66,11 +66,16 @@ class PrivateDaemon:
         self._folder = folder
         self._log = folder / "daemon.log"
         (folder / "rig.yaml").write_text(_rig_file(rig, folder), encoding="utf-8")
-        command = [sys.executable, "-m", "irpmd_rig", "serve", str(folder / "rig.yaml"), "--until-stdin-closes"]
+        command = module_command("irpmd_rig", "serve", str(folder / "rig.yaml"), "--until-stdin-closes")
         with self._log.open("wb") as log:
             # A session of its own: Ctrl-C is for us, who then let it end in order.
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=True,
+                env=module_environment(),
             )
         self._client: Client | None = None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from irpmd_rig.core.errors import MeasurementError
 from irpmd_rig.demo.private_daemon import SimulatedRig
+from irpmd_rig.programs import module_command, module_environment
 
 _LIMIT_S = 120.0
 
@@ -78,11 +78,13 @@ class TruthQuestion:
 
     def __init__(self, rig: SimulatedRig, subject: str, folder: Path) -> None:
         self._file = folder / "truth.npz"
-        command = [sys.executable, "-m", "sims", "truth", str(rig.world), "--object", subject]
+        command = module_command("sims", "truth", str(rig.world), "--object", subject)
         command += ["--out", str(self._file)]
         for name, value in (("--size-px", rig.size_px), ("--seed", rig.seed)):
             command += [] if value is None else [name, str(value)]
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=module_environment()
+        )
 
     def __enter__(self) -> Self:
         return self

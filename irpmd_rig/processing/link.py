@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
@@ -18,6 +16,7 @@ from typing import Any
 
 from irpmd_rig.processing.errors import ComputingLost, FramesUnusable, ProcessingError, Refused
 from irpmd_rig.processing.values import Announce, ProcessedRun, Progress
+from irpmd_rig.programs import module_command, module_environment
 from irpmd_rig.store.states import Reason
 
 # The longest step is the polynomial of every pixel; ten times what it takes on a slow machine.
@@ -198,10 +197,9 @@ class Worker:
         if self._connection is not None:
             self._connection.close()
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-        command = [
-            sys.executable, "-P", "-m", "irpmd_rig.processing.worker",
-            str(theirs.fileno()), str(self._threads), str(self._root),
-        ]  # fmt: skip
+        command = module_command(
+            "irpmd_rig.processing.worker", str(theirs.fileno()), str(self._threads), str(self._root)
+        )
         with theirs:
             self._child = subprocess.Popen(
                 command,
@@ -209,7 +207,7 @@ class Worker:
                 stdout=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
-                env={**os.environ, **_environment(self._threads)},
+                env=module_environment() | _environment(self._threads),
             )
         self._connection = Connection(ours.detach())
 

@@ -254,11 +254,16 @@ def address(line: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-@contextmanager
-def _listening(service: Service, port: int | None) -> Iterator[socket.socket]:
+def listen(host: str, port: int) -> socket.socket:
+    """Open the service's socket; port 0: a free one. Raises OSError where somebody listens already."""
+    line = socket.create_server(
+        (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=BACKLOG
+    )
+    # Connections inherit it; else the second part of each answer waits 40 ms for the first one's receipt.
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return line
+
+
+def _listening(service: Service, port: int | None) -> socket.socket:
     """Open the socket before the instruments: where somebody listens already, nothing of the rig is touched."""
-    wanted = (service.host, service.port if port is None else port)
-    family = socket.AF_INET6 if ":" in service.host else socket.AF_INET
-    with socket.create_server(wanted, family=family, backlog=BACKLOG) as line:
-        line.set_inheritable(False)
-        yield line
+    return listen(service.host, service.port if port is None else port)

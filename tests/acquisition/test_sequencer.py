@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.protocols import Frame, LimitReached, MotionFailed, Position, StageCondition, StageState, TravelLimits
+from drivers.protocols import (
+    DeviceLost,
+    Frame,
+    LimitReached,
+    MotionFailed,
+    Position,
+    StageCondition,
+    StageState,
+    TravelLimits,
+)
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
 from irpmd_rig.acquisition.events import EventLog
@@ -43,7 +52,7 @@ class StageFake:
 
     def __init__(self, log: list[str]) -> None:
         self.log = log
-        self.at_mm = 0.0
+        self.at_mm: float | None = 0.0
         self.condition = StageCondition.READY
         self.fails: Exception | None = None
 
@@ -51,14 +60,15 @@ class StageFake:
         return TravelLimits(0.0, 100.0)
 
     def state(self) -> StageState:
-        return StageState(self.condition, Position(self.at_mm, measured=True), self.at_mm, 1.0)
+        position = None if self.at_mm is None else Position(self.at_mm, measured=True)
+        return StageState(self.condition, position, self.at_mm, 1.0)
 
     def wait(self) -> Position:
         self.log.append("wait")
         fails, self.fails = self.fails, None
         if fails is not None:
             raise fails
-        return Position(self.at_mm, measured=True)
+        return Position(self.at_mm or 0.0, measured=True)
 
 
 class PhotographerFake:
@@ -211,6 +221,18 @@ def test_every_move_is_checked_just_before_it(tmp_path: Path) -> None:
     with pytest.raises(LimitReached, match="200 mm is outside"):
         bench.execute()
     assert "begin 200" not in bench.log
+
+
+def test_a_zero_that_is_lost_during_the_run_is_a_lost_instrument(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TWO)
+
+    def lose() -> None:
+        bench.stage.at_mm = None
+
+    bench.photographer.during.append(lose)
+    with pytest.raises(DeviceLost, match="lost its zero"):
+        bench.execute()
+    assert "begin 20" not in bench.log
 
 
 def test_what_stood_before_the_camera_is_arranged_again_when_a_run_goes_on(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ steps:
   - {{do: show, pattern: {pattern}}}
 """
 _STATION = """  - {{do: move, stage: {stage}, position_mm: {position_mm}}}
+  - {{do: wait, time_s: {wait_s}}}
   - {{do: capture, label: mirror}}
 """
 
@@ -36,11 +37,13 @@ def stations(
     stage: str = "stage1",
     trigger: str = "hardware",
     exposure_us: float = 2000.0,
+    wait_s: float = 0.0,
     more: str = "",
 ) -> str:
-    """A free sequence that takes frames of the mirror at each position of a stage."""
+    """A free sequence that takes frames of the mirror at each position of a stage, after a wait there."""
     text = _BEGINNING.format(pattern=pattern, retries=retries, trigger=trigger, exposure_us=exposure_us)
-    return text + "".join(_STATION.format(stage=stage, position_mm=place) for place in positions_mm) + more
+    each = (_STATION.format(stage=stage, position_mm=place, wait_s=wait_s) for place in positions_mm)
+    return text + "".join(each) + more
 
 
 def calibrate(daemon: Daemon) -> None:

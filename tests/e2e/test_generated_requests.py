@@ -1,6 +1,6 @@
 """The small size of the campaign of generated requests."""
 
-from generated_requests import Campaign, small_service
+from tests.campaigns.generated_requests import Campaign, small_service
 
 SIZE = 300
 

@@ -10,7 +10,7 @@ from tests.campaigns.on_disk import complaints, durable_frames, likeness, pictur
 from tests.campaigns.recipes import stations
 
 PLACES_MM = range(0, 36, 3)
-LONG = stations(*PLACES_MM, pattern="white")
+LONG = stations(*PLACES_MM, pattern="white", wait_s=0.15)
 SHORT = stations(0)
 STAGE = {"stage": "stage1"}
 # A run whose instrument is gone has failed within this.
@@ -24,6 +24,7 @@ class Fault(NamedTuple):
     reasons: set[str]
     arguments: dict[str, Any] = {}  # noqa: RUF012
     reached: bool = True
+    bound_s: float = BOUND_S
 
 
 MOTION = [
@@ -43,7 +44,7 @@ def failed(lab: Lab, daemon: Daemon, fault: Fault) -> str:
     run_id = daemon.begin(LONG, frames=2)
     before = durable_frames(lab.root / run_id)
     lab.fault(fault.name, **fault.arguments)
-    run = daemon.ended(run_id, BOUND_S)
+    run = daemon.ended(run_id, fault.bound_s)
     assert (run.state, run.reason in fault.reasons) == ("failed", True), (run.reason, run.detail)
     assert run.detail
     if fault.reached:
@@ -129,22 +130,23 @@ def model(lab: Lab, running: Daemon) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("name", "trigger"),
+    ("name", "trigger", "arguments"),
     [
-        ("frame_dropped", "hardware"),
-        ("frame_incomplete", "hardware"),
-        ("trigger_missed", "hardware"),
-        ("sync_missed", "hardware"),
-        ("frame_late", "software"),
-        ("frame_dropped", "software"),
+        ("frame_dropped", "hardware", {}),
+        ("frame_incomplete", "hardware", {}),
+        ("trigger_missed", "hardware", {}),
+        ("sync_missed", "hardware", {}),
+        # In the world's seconds.
+        ("frame_late", "software", {"seconds": 110.0}),
+        ("frame_dropped", "software", {}),
     ],
 )
 def test_a_frame_that_fails_is_taken_again_and_no_index_shifts(
-    lab: Lab, daemon: Daemon, model: Any, name: str, trigger: str
+    lab: Lab, daemon: Daemon, model: Any, name: str, trigger: str, arguments: dict[str, Any]
 ) -> None:
     run_id = daemon.submit(stations(0, 8, trigger=trigger, retries=2))
     told = len(lab.log.read_text())
-    lab.fault(name)
+    lab.fault(name, **arguments)
     daemon.resume()
     run = daemon.ended(run_id)
     assert (run.state, run.frames) == ("succeeded", 12), (run.reason, run.detail)
@@ -155,7 +157,8 @@ def test_a_frame_that_fails_is_taken_again_and_no_index_shifts(
 
 
 def test_frames_that_never_come_end_the_run_after_a_bounded_number_of_attempts(lab: Lab, daemon: Daemon) -> None:
-    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 10_000}))
+    # Two attempts, of five seconds each.
+    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 10_000}, bound_s=20.0))
     lab.fault("frame_dropped", frames=1)
     assert daemon.carry_out(SHORT).state == "succeeded"
 

@@ -18,8 +18,8 @@ from tests.campaigns.lab import Daemon, Lab, until
 from tests.campaigns.on_disk import complaints, durable_frames, lost_frames, states
 from tests.campaigns.recipes import CHAIN, stations
 
-PLACES_MM = range(0, 60, 3)
-LONG = stations(*PLACES_MM)
+PLACES_MM = range(0, 36, 3)
+LONG = stations(*PLACES_MM, wait_s=0.1)
 WATCHDOG_S = 0.6
 
 
@@ -161,6 +161,7 @@ def test_a_stop_that_a_hanging_camera_does_not_obey_is_bounded(lab: Lab, daemon:
     daemon.client.clear_stop()
     daemon.ready()
     lab.at_rest()
+    until(lambda: "camera" in daemon.helpers(), 10.0, "another camera process")
     assert daemon.helpers()["camera"].pid != camera.pid
     assert daemon.carry_out(stations(0)).state == "succeeded"
 

@@ -1,7 +1,6 @@
 """A service on a small simulated rig, answering on a free port."""
 
 import asyncio
-import socket
 import subprocess
 import sys
 import threading
@@ -20,7 +19,7 @@ from irpmd_rig.acquisition.rig_file import RigFile, read_rig
 from irpmd_rig.acquisition.simulated import serve_command
 from irpmd_rig.service import ServiceSettings, create_app
 from irpmd_rig.service.notify import Notifier
-from irpmd_rig.service.serve import Server
+from irpmd_rig.service.serve import Server, listen
 from irpmd_rig.shipped import world_file
 
 TOKEN = "0123456789abcdef0123456789abcdef"
@@ -85,7 +84,7 @@ class Service:
 def serving(daemon: RigDaemon, **settings: Any) -> Iterator[Service]:
     """Serve a daemon from a thread."""
     app = create_app(daemon, ServiceSettings(TOKEN, **settings))
-    with socket.create_server(("127.0.0.1", 0)) as line:
+    with listen("127.0.0.1", 0) as line:
         server = Server(app, line, Notifier({}), app.state.desk.close)
         thread = threading.Thread(target=asyncio.run, args=(server.serve(),))
         thread.start()
