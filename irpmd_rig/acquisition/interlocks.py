@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from drivers.protocols import CameraCapabilities, InstrumentError, LimitReached, Refused, StageCondition
+from drivers.protocols import CameraCapabilities, InstrumentError, LimitReached, Refused, Stage, StageCondition
 from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.patterns import longest_exposure_us
 from irpmd_rig.acquisition.rig import DeviceCondition, Rig
@@ -90,10 +90,24 @@ def check_move(rig: Rig, name: str, target_mm: float) -> None:
             f"{target_mm:g} mm is outside its limits",
             f"give {limits.lower_mm:g} to {limits.upper_mm:g} mm",
         )
-    if state.position is None:
+    if not has_zero(stage):
         raise Refused(name, "the axis has no zero", "home it, or zero it at a known place")
     if state.condition is StageCondition.MOVING and state.target_mm != target_mm:
         raise Refused(name, f"it still moves to {state.target_mm} mm", "wait for it, or stop it")
+
+
+def has_zero(stage: Stage) -> bool:
+    """Whether an axis has a zero; raises InstrumentError if it cannot be asked.
+
+    Its condition does not tell: that may be about a move that failed before the zero was lost.
+    """
+    if stage.state().position is not None:
+        return True
+    try:
+        stage.position()
+    except Refused:
+        return False
+    return True
 
 
 def rig_reasons(rig: Rig, needed: frozenset[str], without_zero: Iterable[str]) -> list[str]:

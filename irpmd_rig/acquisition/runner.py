@@ -14,7 +14,7 @@ from irpmd_rig.acquisition.capture import CaptureSettings, Photographer
 from irpmd_rig.acquisition.conduct import Conduct, Ending
 from irpmd_rig.acquisition.endings import ending_of
 from irpmd_rig.acquisition.hands import Hands, Zeros
-from irpmd_rig.acquisition.interlocks import axes_of, check_start, settle_uses
+from irpmd_rig.acquisition.interlocks import axes_of, check_start, has_zero, settle_uses
 from irpmd_rig.acquisition.queue import RunQueue
 from irpmd_rig.acquisition.rig import Rig
 from irpmd_rig.acquisition.runs import Run, first_incomplete
@@ -246,8 +246,7 @@ class Runner:
         for name in sorted(axes_of(run.plan)):
             run.conduct.check()
             stage = place.rig.stage(name)
-            # Not by its condition: that may be about a move that failed before the zero was lost.
-            if stage.state().position is None:
+            if not has_zero(stage):
                 run.doing(f"{name} finds its zero")
                 place.zeros.given(name)
                 place.rig.find_zero(name)

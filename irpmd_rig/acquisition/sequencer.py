@@ -15,7 +15,7 @@ from drivers.protocols import DeviceLost, Position, Refused
 from irpmd_rig.acquisition.capture import Photographer
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
-from irpmd_rig.acquisition.interlocks import check_move
+from irpmd_rig.acquisition.interlocks import check_move, has_zero
 from irpmd_rig.acquisition.rig import Rig
 from irpmd_rig.acquisition.runs import Run, first_incomplete
 from irpmd_rig.acquisition.settling import wait_until_still
@@ -185,7 +185,7 @@ class Sequencer:
         try:
             check_move(self._rig, name, target_mm)
         except Refused as error:
-            if self._rig.stage(name).state().position is None:
+            if not has_zero(self._rig.stage(name)):
                 # It had one when the run began.
                 what = "the axis lost its zero during the run: its line or its controller was away"
                 raise DeviceLost(name, what, "look at cable and power, then retry the run") from error

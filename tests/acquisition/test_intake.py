@@ -13,6 +13,7 @@ from drivers.protocols import (
     Refused,
     StageCondition,
     StageState,
+    TimedOut,
     TravelLimits,
 )
 from irpmd_rig.acquisition.intake import Intake, NoSuchRecipe, RecipeText, named_recipe
@@ -119,6 +120,14 @@ def rig_with(stage: Any, devices: dict[str, DeviceState] | None = None, operator
     return SimpleNamespace(stage=lambda _: stage, stages={"stage1": stage}, devices=devices or {}, operator=operator)
 
 
+def no_position() -> Position:
+    raise Refused("stage1", "it has no zero", "home it")
+
+
+def mute() -> Position:
+    raise TimedOut("stage1", "no answer", "look")
+
+
 def stage(condition: StageCondition, target_mm: float | None = None, *, can_home: bool = True) -> Any:
     return SimpleNamespace(
         limits=lambda: TravelLimits(0.0, 100.0),
@@ -126,6 +135,7 @@ def stage(condition: StageCondition, target_mm: float | None = None, *, can_home
             condition, None if condition is StageCondition.NO_ZERO else Position(0.0, measured=True), target_mm, 1.0
         ),
         capabilities=lambda: SimpleNamespace(can_home=can_home),
+        position=no_position,
     )
 
 
@@ -137,6 +147,10 @@ def test_a_move_is_refused_outside_the_limits_without_zero_or_while_moving_elsew
             check_move(rig_with(stage(StageCondition.READY)), "stage1", target_mm)
     with pytest.raises(Refused, match="no zero"):
         check_move(rig_with(stage(StageCondition.NO_ZERO)), "stage1", 5.0)
+    silent = stage(StageCondition.NO_ZERO)
+    silent.position = mute
+    with pytest.raises(TimedOut):
+        check_move(rig_with(silent), "stage1", 5.0)
     with pytest.raises(Refused, match="still moves to 7"):
         check_move(rig_with(stage(StageCondition.MOVING, 7.0)), "stage1", 5.0)
 

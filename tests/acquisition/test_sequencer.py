@@ -16,6 +16,7 @@ from drivers.protocols import (
     LimitReached,
     MotionFailed,
     Position,
+    Refused,
     StageCondition,
     StageState,
     TravelLimits,
@@ -62,6 +63,9 @@ class StageFake:
     def state(self) -> StageState:
         position = None if self.at_mm is None else Position(self.at_mm, measured=True)
         return StageState(self.condition, position, self.at_mm, 1.0)
+
+    def position(self) -> Position:
+        raise Refused("stage1", "it has no zero", "home it")
 
     def wait(self) -> Position:
         self.log.append("wait")

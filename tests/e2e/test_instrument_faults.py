@@ -172,8 +172,8 @@ def test_saturated_frames_end_the_run_and_none_of_them_is_kept(lab: Lab, daemon:
 
 
 def test_a_camera_process_that_is_killed_is_replaced(lab: Lab, daemon: Daemon) -> None:
-    run_id = daemon.begin(LONG, frames=2)
     before = daemon.helpers()["camera"]
+    run_id = daemon.begin(LONG, frames=2)
     before.kill()
     run = daemon.ended(run_id, BOUND_S)
     assert (run.state, run.reason) == ("failed", "device_lost"), run.detail

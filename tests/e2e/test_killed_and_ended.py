@@ -145,8 +145,8 @@ def running(lab: Lab) -> Iterator[Daemon]:
 
 
 def test_a_stop_that_a_hanging_camera_does_not_obey_is_bounded(lab: Lab, daemon: Daemon) -> None:
-    run_id = daemon.begin(LONG)
     camera = daemon.helpers()["camera"]
+    run_id = daemon.begin(LONG)
     camera.suspend()
     began_s = time.monotonic()
     stop = daemon.client.stop()

@@ -5,6 +5,7 @@ import pytest
 from service_world import API, RECIPE, Service, lease, slug
 
 from irpmd_rig.acquisition.control import WorldControl
+from irpmd_rig.acquisition.status import StopReport
 
 
 def test_the_rig_tells_what_is_there_and_why_it_would_not_start(client: httpx.Client) -> None:
@@ -106,3 +107,22 @@ def test_figures_tell_of_rig_and_service(client: httpx.Client) -> None:
     assert 'irpmd_rig_requests_total{method="GET",operation="run",status="404"}' in text
     assert "irpmd_rig_queue_held 1.0" in text
     assert "process_open_fds" in text
+
+
+def test_what_cannot_be_stopped_says_when_it_ends(
+    service: Service, client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = {
+        "stage1": StopReport(False, 3.5),
+        "camera": StopReport(False, error="it is gone"),
+        "stage2": StopReport(True),
+    }
+    monkeypatch.setattr(service.daemon, "stop", lambda: told)
+    assert client.post(f"{API}/stop").json() == {
+        "devices": {
+            "stage1": {"outcome": "cannot_be_stopped", "ends_in_s": 3.5, "error": None},
+            "camera": {"outcome": "unknown", "ends_in_s": 0.0, "error": "it is gone"},
+            "stage2": {"outcome": "stopped", "ends_in_s": 0.0, "error": None},
+        },
+        "stop_latched": True,
+    }
