@@ -16,7 +16,6 @@ from irpmd_rig.client._calls import Call
 from irpmd_rig.client.errors import ServiceUnreachable, checked
 from irpmd_rig.client.files import Arriving
 from irpmd_rig.client.settings import (
-    DEFAULT_URL,
     TIMEOUT_S,
     http_settings,
     lease_header,
@@ -40,7 +39,7 @@ class AsyncConnection:
     """
 
     def __init__(
-        self, url: str = DEFAULT_URL, token: str | Path | None = None, *, timeout_s: float = TIMEOUT_S
+        self, url: str | None = None, token: str | Path | None = None, *, timeout_s: float = TIMEOUT_S
     ) -> None:
         self.url = service_url(url)
         self.lease_id: str | None = None

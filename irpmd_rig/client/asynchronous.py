@@ -35,9 +35,10 @@ class AsyncClient(AsyncConnection):
     Parameters
     ----------
     url
-        Address of the service.
+        Address of the service; None: ``IRPMD_RIG_URL`` of the environment, else ``http://127.0.0.1:8321``.
     token
-        Its token, or the file in which that is; None: the file ``data/token`` below the working folder.
+        Its token, or the file in which that is; None: the file that ``IRPMD_RIG_TOKEN`` names, else ``data/token``
+        below the working folder.
     timeout_s
         Bound of an answer; commands that move something have a longer one.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,14 +22,18 @@ DEFAULT_TOKEN = Path("data") / "token"
 TIMEOUT_S = 30.0
 
 
-def service_url(url: str) -> str:
+def service_url(url: str | None) -> str:
     """Complete the address of a service: ``http://127.0.0.1:8321``, as the daemon says it, is enough.
+
+    None stands for the environment's ``IRPMD_RIG_URL``, or the default address.
 
     Raises
     ------
     ClientError
         It is none.
     """
+    if url is None:
+        url = os.environ.get("IRPMD_RIG_URL") or DEFAULT_URL
     try:
         known = httpx.URL(url)
     except httpx.InvalidURL as error:
@@ -46,7 +51,8 @@ def http_settings(url: str, token: str | Path | None, timeout_s: float) -> dict[
     url
         Address of the service.
     token
-        The token, the file in which it is, or None: the default file if it is there.
+        The token, the file in which it is, or None: the file that the environment's ``IRPMD_RIG_TOKEN`` names, else the
+        default file if it is there.
     timeout_s
         Bound of an answer.
 
@@ -56,7 +62,8 @@ def http_settings(url: str, token: str | Path | None, timeout_s: float) -> dict[
         The file is not there, or not for us.
     """
     if token is None:
-        token = DEFAULT_TOKEN if DEFAULT_TOKEN.exists() else ""
+        named = os.environ.get("IRPMD_RIG_TOKEN")
+        token = Path(named) if named else DEFAULT_TOKEN if DEFAULT_TOKEN.exists() else ""
     if isinstance(token, Path):
         token = _read(token)
     headers = {"Authorization": f"Bearer {token}"} if token else {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 
 import numpy as np
@@ -17,6 +18,7 @@ from irpmd_rig.processing.regions import Mask, lit
 from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
 from irpmd_rig.processing.values import Announce, ProcessedRun, Progress, Summary
 from irpmd_rig.store.entries import ManifestEntry
+from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.record import RunRecord, software_versions
 from irpmd_rig.store.run_folder import RunFolder
 
@@ -78,6 +80,12 @@ class Job:
     def begin_results(self) -> None:
         """Delete what was computed before: old and new results never lie side by side."""
         self.folder.results.clear()
+
+    def withdraw(self) -> None:
+        """Delete what was computed of a run that cannot be computed: half of it would pass for a result."""
+        if self.files:
+            with suppress(OSError, StoreError):
+                self.folder.results.clear()
 
     def wrote(self, name: str) -> None:
         """Tell of a result that is on disk."""

@@ -118,8 +118,9 @@ class Phases:
                 out=maps,
             )
         except MeasurementError as error:
+            remedy = "measure again" if station.full_scale_dn else 'give the camera\'s "bits": 12 or so in the manifest'
             raise FramesUnusable(
-                f"station {station.number} ({station.label}) cannot be decoded: {error}", "measure again"
+                f"station {station.number} ({station.label}) cannot be decoded: {error}", remedy
             ) from None
         return _summarised(result)
 

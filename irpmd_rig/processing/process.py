@@ -91,11 +91,15 @@ class Processor:
                 record, entries = folder.record(), folder.manifest()
                 chain = self._chained(folder, record, library)
                 job = Job(folder, record, entries, chain, self._phases, announce)
-                if record.kind == "sequence":
-                    return job.finished(frames=len(entries))
-                if record.kind == "measure":
-                    return measure_run(job, self._load(job.chain))
-                return _KINDS[record.kind](job)
+                try:
+                    if record.kind == "sequence":
+                        return job.finished(frames=len(entries))
+                    if record.kind == "measure":
+                        return measure_run(job, self._load(job.chain))
+                    return _KINDS[record.kind](job)
+                except (ProcessingError, MeasurementError, StoreError):
+                    job.withdraw()
+                    raise
         finally:
             self.forget()
 

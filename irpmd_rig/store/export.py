@@ -70,6 +70,8 @@ def export_run(folder: RunFolder, form: str, target: Path) -> Path:
         raise ExportError(f"no export {form!r}; there are {', '.join(EXPORTS)}")
     if not target.parent.is_dir():
         raise ExportError(f"there is no folder {target.parent}")
+    if target.exists() and not target.is_file():
+        raise ExportError(f"{target} is no file: name one in a folder of yours")
     if form == "hdf5":
         _check_space(folder, target)
     try:

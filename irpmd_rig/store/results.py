@@ -35,10 +35,11 @@ class Results:
         self.folder = folder
 
     def names(self) -> tuple[str, ...]:
-        """Names of the files that are there."""
+        """Names of the files that are there; links and folders that somebody put beside them are none."""
         if not self.folder.is_dir():
             return ()
-        return tuple(sorted(path.name for path in self.folder.iterdir() if _NAME.fullmatch(path.name)))
+        found = (path for path in self.folder.iterdir() if path.is_file() and not path.is_symlink())
+        return tuple(sorted(path.name for path in found if _NAME.fullmatch(path.name)))
 
     def path(self, name: str) -> Path:
         """Path of a file; raises FileNotInRun if there is none of this name."""

@@ -122,6 +122,8 @@ class Daemon:
             yield
 
     def submit(self, recipe: str, key: str | None = None) -> str:
+        """Let a run wait: after a success the queue goes on by itself, and it would begin at once."""
+        self.client.hold_queue()
         run: Run = self.client.submit(recipe, idempotency_key=key)
         return run.id
 

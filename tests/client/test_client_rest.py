@@ -167,12 +167,15 @@ def test_a_run_is_paused_answered_and_aborted(rig: Client) -> None:
 
 
 def test_a_run_that_fails_is_an_error_of_who_waits_for_it(rig: Client) -> None:
+    stopping = threading.Thread(target=rig.stop)
+
     def stop_soon(event: Event) -> None:
         if event.kind == "state" and event.data["state"] == "running":
-            threading.Thread(target=rig.stop).start()
+            stopping.start()
 
     with pytest.raises(RunFailed, match="stopped") as failed:
         rig.carry_out(LONG, on_event=stop_soon, timeout_s=60)
+    stopping.join()
     assert failed.value.run.reason == "stopped"
     assert rig.rig().stop_latched
     with pytest.raises(ProblemError) as not_ready:
@@ -226,6 +229,20 @@ def test_the_token_is_needed_and_its_file_has_to_be_there(rig: Client, tmp_path:
     for address in ("rig", "ftp://rig", "http://", ""):
         with pytest.raises(ClientError, match="address"):
             Client(address, "token")
+
+
+def test_address_and_token_come_from_the_environment_where_none_are_given(
+    rig: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IRPMD_RIG_URL", rig.url)
+    monkeypatch.setenv("IRPMD_RIG_TOKEN", str(tmp_path / "token"))
+    with pytest.raises(TokenUnreadable, match="token"):
+        Client()
+    (tmp_path / "token").write_text("wrong-token-wrong-token-wrong-token\n")
+    with Client() as lab:
+        assert lab.url == rig.url
+        with pytest.raises(ProblemError, match="token"):
+            lab.rig()
 
 
 def test_where_nobody_listens_the_client_says_how_to_start_one() -> None:

@@ -131,7 +131,19 @@ def test_frames_that_were_not_checked_are_checked_and_refused(chain, copied):
     tifffile.imwrite(second, stale)
     with pytest.raises(FramesUnusable, match=r"station 0 .*set 1 step 1"):
         process(copied, chain.runs.library, lambda _: None)
-    assert "result.json" not in copied.results.names()
+    assert copied.results.names() == ()  # the depth map that was there before the check is none
+
+
+def test_frames_of_more_bits_than_the_manifest_says_are_refused_with_what_to_write(chain, copied):
+    lines = [json.loads(entry.line()) for entry in copied.manifest()]
+    for line in lines:
+        for key in ("bits", "sha256", "checks"):
+            line.pop(key, None)
+        frame = tifffile.imread(copied.path / line["path"])
+        tifffile.imwrite(copied.path / line["path"], frame.astype(np.uint16) * 16)
+    (copied.path / "manifest.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(FramesUnusable, match='"bits": 12'):
+        process(copied, chain.runs.library, lambda _: None)
 
 
 def test_a_frame_that_changed_since_it_was_taken_is_noticed(chain, copied):

@@ -102,6 +102,15 @@ def test_clearing_away_what_an_earlier_attempt_computed(results: Results) -> Non
     assert results.names() == ()
 
 
+def test_links_and_folders_that_somebody_put_there_are_no_results(results: Results) -> None:
+    results.write_text("a.txt", "a")
+    (results.folder / "elsewhere.txt").symlink_to("/etc/hostname")
+    (results.folder / "folder").mkdir()
+    assert results.names() == ("a.txt",)
+    results.clear()
+    assert results.names() == ()
+
+
 def test_grey_pictures() -> None:
     values = np.array([[0.0, 1.0], [2.0, np.nan]])
     assert np.array_equal(grey_picture(values, 0, 2), [[1, 128], [255, 0]])

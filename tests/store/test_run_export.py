@@ -110,6 +110,8 @@ def test_what_is_not_there_is_told(folder: RunFolder, tmp_path: Path) -> None:
         export_run(folder, "zarr", tmp_path / "x")
     with pytest.raises(ExportError, match="there is no folder"):
         export_run(folder, "csv", tmp_path / "missing" / "x")
+    with pytest.raises(ExportError, match="is no file"):
+        export_run(folder, "csv", tmp_path)
     assert not (tmp_path / "points.ply").exists()
 
 
