@@ -270,7 +270,9 @@ class RigDaemon:
         """One run; raises RunNotFound."""
         return self._placed(self._book.status(run_id))
 
-    def act(self, run_id: str, action: Action, lease_id: str | None, answer: str = "done") -> RunStatus:
+    def act(
+        self, run_id: str, action: Action, lease_id: str | None, answer: str = "done", prompt: int | None = None
+    ) -> RunStatus:
         """Act on a run.
 
         Parameters
@@ -283,6 +285,9 @@ class RigDaemon:
             the queue.
         answer
             The answer.
+        prompt
+            The id of the prompt that it is for: a prompt that came since is then not answered unseen. None: whichever
+            waits.
 
         Raises
         ------
@@ -298,7 +303,7 @@ class RigDaemon:
             self._book.retry(run_id)
             self._wake()
         else:
-            steer(self._book, self._queue, self._runner, Wish(run_id, action, owner, answer))
+            steer(self._book, self._queue, self._runner, Wish(run_id, action, owner, answer, prompt))
         return self.run(run_id)
 
     def delete(self, run_id: str) -> None:

@@ -39,6 +39,8 @@ def equipment_of(rig: Rig) -> Equipment:
         speed = device.settings.get("speed_mm_per_s")
         axes[name] = Axis(lower_mm, upper_mm, speed, float(device.settings.get("settle_s", 0.2)))
     known: dict[str, Any] = {"stages": axes, "trigger": file.trigger, **_camera(rig), **_projector(rig)}
+    if rig.operator is not None:
+        known |= {"subjects": rig.operator.subjects, "board_poses": rig.operator.board_poses}
     return Equipment(**known)
 
 

@@ -43,6 +43,8 @@ class Operator(Protocol):
     """Does what software cannot: a simulated rig has one, at a real one a person is asked."""
 
     name: str
+    subjects: tuple[str, ...]
+    board_poses: int
 
     def arrange(self, scene: Scene) -> None:
         """Place what a scene asks for."""

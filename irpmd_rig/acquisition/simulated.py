@@ -104,6 +104,18 @@ class SimulatedOperator:
         The line to the world's process.
     child
         The process, where it was started for this rig.
+
+    Attributes
+    ----------
+    subjects
+        What can be placed.
+    board_poses
+        Poses of the checkerboard.
+
+    Raises
+    ------
+    SimulationError
+        The world does not answer.
     """
 
     name = OPERATOR
@@ -111,6 +123,9 @@ class SimulatedOperator:
     def __init__(self, control: WorldControl, child: _Child | None = None) -> None:
         self.control = control
         self._child = child
+        hello = control.hello()
+        self.subjects: tuple[str, ...] = tuple(hello["subjects"])
+        self.board_poses: int = hello["board"]["poses"]
 
     def arrange(self, scene: Scene) -> None:
         """Place what a scene asks for: the thing to look at, the ground glass, the lamp.

@@ -31,12 +31,15 @@ class Wish:
         Who.
     answer
         The answer to the prompt, where the action is ``answer``.
+    prompt
+        The number of the prompt that it is for; None: whichever waits.
     """
 
     run_id: str
     action: Steering
     owner: str
     answer: str = "done"
+    prompt: int | None = None
 
 
 def steer(book: RunBook, queue: RunQueue, runner: Runner | None, wish: Wish) -> None:
@@ -60,8 +63,11 @@ def steer(book: RunBook, queue: RunQueue, runner: Runner | None, wish: Wish) -> 
             "the run waits in the queue", f"hold or resume the queue: there is nothing to {wish.action}"
         )
     elif wish.action == "answer":
-        if not run.conduct.answer(wish.answer):
-            raise ActionRefused("the run asks nothing", "answer while it is waiting_for_operator")
+        if not run.conduct.answer(wish.answer, wish.prompt):
+            raise ActionRefused(
+                "the run asks nothing, or something else by now",
+                "answer the prompt of a run that is waiting_for_operator",
+            )
     elif wish.action == "pause" and run.state is not RunState.RECONSTRUCTING:
         run.conduct.pause()
     elif wish.action == "resume" and run.conduct.asked == "pause":

@@ -47,7 +47,7 @@ class Following:
         self._terminal = Terminal()
         self._inbox: queue.Queue[Event | Run | ClientError | Callable[[], None]] = queue.Queue()
         self._state: str | None = run.state
-        self._asked: str | None = None
+        self._asked: tuple[int, str] | None = None
         self._told: set[str] = set()
         self._left = False
 
@@ -120,7 +120,7 @@ class Following:
         elif event.kind == "progress":
             progress.update(task, completed=data["frames_done"], total=data["frames"], description=data["doing"])
         elif event.kind == "prompt":
-            self._ask(str(data["text"]))
+            self._ask((data["prompt"], str(data["text"])))
 
     def _tell_reasons(self) -> None:
         """Say why it does not begin, each reason once; leave to go on that is ours to give is given."""
@@ -140,10 +140,10 @@ class Following:
 
     # --- what the person says
 
-    def _ask(self, text: str) -> None:
-        self._asked = text
+    def _ask(self, prompt: tuple[int, str]) -> None:
+        self._asked = prompt
         self._terminal.forget()
-        note(f"\n{text}", style="bold")
+        note(f"\n{prompt[1]}", style="bold")
         if self._terminal.somebody_there:
             note("Enter when it is done; abort ends the run.")
         else:
@@ -180,10 +180,12 @@ class Following:
         return True
 
     def _act(self, action: Literal["abort", "answer"], answer: Literal["done", "abort"] = "done") -> None:
+        # The prompt that was read here, not one that came since.
+        prompt = self._asked[0] if action == "answer" and self._asked is not None else None
         owner = f"{getpass.getuser()} at {socket.gethostname()}"
         try:
             with self._client.lease(owner, LEASE_S):
-                self._client.act(self._run.id, action, answer)
+                self._client.act(self._run.id, action, answer, prompt)
         except ProblemError as error:
             note(f"{error}", style="red")
 
@@ -194,7 +196,7 @@ class Following:
         run = self._client.run(self._run.id)
         self._state = run.state
         if run.prompt is not None:
-            self._ask(run.prompt.text)
+            self._ask((run.prompt.id, run.prompt.text))
         if self._state == "queued" and self._client.queue().waiting[:1] == (self._run.id,):
             self._resume()
         elif self._state == "queued":

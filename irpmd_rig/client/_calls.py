@@ -163,8 +163,8 @@ def run(run_id: str) -> Call[models.Run]:
     return Call("GET", f"/runs/{_part(run_id)}", _RUN)
 
 
-def act(run_id: str, action: Control, answer: str = "done") -> Call[models.Run]:
-    body = {"action": action} | ({"answer": answer} if action == "answer" else {})
+def act(run_id: str, action: Control, answer: str = "done", prompt: int | None = None) -> Call[models.Run]:
+    body = {"action": action} | ({"answer": answer, "prompt": prompt} if action == "answer" else {})
     return Call("POST", f"/runs/{_part(run_id)}/actions", _RUN, body, timeout_s=COMMAND_LIMIT_S)
 
 

@@ -149,9 +149,11 @@ class AsyncClient(AsyncConnection):
         """One run, as it is now."""
         return await self._send(calls.run(run_id))
 
-    async def act(self, run_id: str, action: Control, answer: Literal["done", "abort"] = "done") -> Run:
-        """Abort, pause, resume, answer or retry a run; needs the lease."""
-        return await self._send(calls.act(run_id, action, answer))
+    async def act(
+        self, run_id: str, action: Control, answer: Literal["done", "abort"] = "done", prompt: int | None = None
+    ) -> Run:
+        """Abort, pause, resume, answer (the prompt of that id, or whichever waits) or retry a run; needs the lease."""
+        return await self._send(calls.act(run_id, action, answer, prompt))
 
     async def delete_run(self, run_id: str) -> None:
         """Delete an ended run with its folder."""

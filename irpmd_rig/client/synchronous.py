@@ -147,9 +147,11 @@ class Client(Connection):
         """One run, as it is now."""
         return self._send(calls.run(run_id))
 
-    def act(self, run_id: str, action: Control, answer: Literal["done", "abort"] = "done") -> Run:
-        """Abort, pause, resume, answer or retry a run; needs the lease."""
-        return self._send(calls.act(run_id, action, answer))
+    def act(
+        self, run_id: str, action: Control, answer: Literal["done", "abort"] = "done", prompt: int | None = None
+    ) -> Run:
+        """Abort, pause, resume, answer (the prompt of that id, or whichever waits) or retry a run; needs the lease."""
+        return self._send(calls.act(run_id, action, answer, prompt))
 
     def delete_run(self, run_id: str) -> None:
         """Delete an ended run with its folder."""

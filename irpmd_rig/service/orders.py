@@ -54,10 +54,11 @@ class QueueAction(Order):
 
 
 class RunAction(Order):
-    """Act on a run; answer is for the operator's prompt."""
+    """Act on a run; answer is for the operator's prompt, of that id if one is given."""
 
     action: Literal["abort", "pause", "resume", "answer", "retry"]
     answer: Literal["done", "abort"] = "done"
+    prompt: Annotated[int, Field(ge=0, le=2**31)] | None = None
 
 
 class RegionOrder(Order):

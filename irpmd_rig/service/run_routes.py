@@ -111,7 +111,8 @@ async def run(desk: TheDesk, run_id: str) -> Run:
 )
 async def act(desk: TheDesk, run_id: str, lease: HeldLease, order: RunAction) -> Run:
     """Abort, pause, resume, answer the operator's prompt, or retry."""
-    return Run.model_validate(await desk.commanding(desk.daemon.act, run_id, order.action, lease.id, order.answer))
+    done = await desk.commanding(desk.daemon.act, run_id, order.action, lease.id, order.answer, order.prompt)
+    return Run.model_validate(done)
 
 
 @router.delete(

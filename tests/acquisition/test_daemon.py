@@ -130,11 +130,20 @@ def test_a_person_answers_and_may_look_meanwhile(daemon: RigDaemon, world: World
     until(lambda: daemon.hand.camera_frame().image.shape == (96, 96))
     with pytest.raises(RigBusy, match=run_id):
         daemon.hand.stage_move("stage1", 1.0)
-    daemon.act(run_id, "answer", lease)
+    with pytest.raises(ActionRefused, match="something else by now"):
+        daemon.act(run_id, "answer", lease, prompt=prompt.id + 1)
+    daemon.act(run_id, "answer", lease, prompt=prompt.id)
     assert ended(daemon, run_id).state is RunState.SUCCEEDED
     assert daemon.run(run_id).frames == 2
     with pytest.raises(ActionRefused, match="nothing to answer"):
         daemon.act(run_id, "answer", lease)
+
+
+def test_an_object_that_the_world_lacks_is_refused_before_anything_moves(daemon: RigDaemon) -> None:
+    validation = daemon.validate(RecipeText("kind: measure\nname: x\nobject: mirror_stepp\npositions_mm: [0, 40]\n"))
+    (problem,) = validation.problems
+    assert "mirror_stepp" in problem.what
+    assert problem.line == 3
 
 
 def test_a_person_may_answer_with_abort(daemon: RigDaemon) -> None:
