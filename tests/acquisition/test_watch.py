@@ -19,6 +19,7 @@ class RigFake:
 
     def __init__(self) -> None:
         self.stages: dict[str, Any] = {}
+        self.operator = None
         self.devices = {
             "camera": DeviceState("camera", "none", DeviceCondition.READY),
             "stage1": DeviceState("stage", "none", DeviceCondition.READY),
