@@ -61,9 +61,9 @@ class Index:
             self._database.executemany("DELETE FROM runs WHERE id = ?", [(run_id,) for run_id in ids])
 
     def all(self) -> tuple[RunSummary, ...]:
-        """All runs, newest first."""
+        """All runs."""
         with self._lock:
-            rows = self._database.execute("SELECT * FROM runs ORDER BY id DESC").fetchall()
+            rows = self._database.execute("SELECT * FROM runs").fetchall()
         return tuple(_summary(row) for row in rows)
 
     def _connect(self) -> sqlite3.Connection:

@@ -26,6 +26,7 @@ from irpmd_rig.store.summary import RunSummary, summarise
 
 _log = logging.getLogger(__name__)
 _ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}")
+_TIME_LETTERS = len("YYYYMMDD-HHMMSS")
 _INDEX = "index.sqlite"
 _NEW, _DELETED = ".new-", ".deleted-"
 _LEFT_BEHIND_S = 60.0
@@ -125,10 +126,11 @@ class Store:
     def runs(self) -> tuple[RunSummary, ...]:
         """Summaries of all runs, newest first."""
         try:
-            return self._fresh_index().all()
+            found = self._fresh_index().all()
         except sqlite3.Error as error:
             _log.warning("index of %s cannot be used (%s): the folders are read", self.root, error)
-            return tuple(summarise(folder) for folder in reversed(self._folders()))
+            found = tuple(summarise(folder) for folder in self._folders())
+        return tuple(sorted(found, key=_age, reverse=True))
 
     def run_by_key(self, key: str) -> RunFolder | None:
         """The run that was made with this idempotency key."""
@@ -256,3 +258,8 @@ class Store:
             # Another process may be at it right now; that takes no minute.
             if time.time() - path.stat().st_mtime > _LEFT_BEHIND_S:
                 shutil.rmtree(path, ignore_errors=True)
+
+
+def _age(run: RunSummary) -> tuple[str, datetime]:
+    """Order of runs: by the time in their ids, and within a second by when they were made."""
+    return run.id[:_TIME_LETTERS], run.created or datetime.min.replace(tzinfo=UTC)

@@ -59,7 +59,7 @@ def test_a_burst_on_the_sync_edges_decodes_to_the_truth(world: ServedWorld, load
     assert loaded.stage1.wait().position_mm == pytest.approx(40.0, abs=0.002)
     frames, times_s = burst(loaded)
     # The sequence's period, exactly: however late the threads of the world were.
-    assert np.diff(times_s) == pytest.approx(0.0125, abs=1e-8)
+    assert np.diff(times_s) == pytest.approx(0.0111, abs=1e-8)
     found = decode(frames.reshape(3, 4, *frames.shape[1:]), COUNTS).phase_rad
     truth = trace(load_world(WORLD).with_camera_size(frames.shape[1]), Setup("mirror_step_x", stage1_mm=40.0))
     wanted = 2 * np.pi * COUNTS[0] * (truth.projector_px[..., 0] + 0.5) / 1024
