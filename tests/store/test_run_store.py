@@ -75,7 +75,7 @@ def test_runs_are_listed_newest_first_with_their_last_state(store: Store) -> Non
     second = store.create_run(RunRecord(kind="reference"), QUEUED)
     fail(first, Reason.LIMIT)
     listed = {run.id: run for run in store.runs()}
-    assert list(listed) == sorted([first.id, second.id], reverse=True)
+    assert list(listed) == [second.id, first.id]
     assert (listed[first.id].state, listed[first.id].reason) == (RunState.FAILED, Reason.LIMIT)
     assert listed[second.id].kind == "reference"
 
