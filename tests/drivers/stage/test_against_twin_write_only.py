@@ -20,7 +20,7 @@ Build = Callable[..., SerialStage]
 Quick = Callable[[str], str]
 
 # Frames 0.05 s apart are 1 s for the twin.
-TIME_SCALE = 20.0
+TIME_SCALE = 10.0
 START_MM = 50.0
 NEAR_MM = 0.012
 AXIS = AxisSettings(start_mm=START_MM, ringing_um=0.0, acceleration_mm_s2=200.0)
