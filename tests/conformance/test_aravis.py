@@ -101,9 +101,10 @@ def test_a_region_an_exposure_and_a_rate(camera):
     told = camera.configure(FAST)
     assert (told.region, told.exposure_us, told.frame_rate_hz) == (SMALL, 1000.0, 50.0)
     camera.arm(6)
-    frames = list(camera.frames(3))
+    frames = list(camera.frames(6))
     assert all(frame.image.shape == (128, 128) for frame in frames)
-    assert np.diff([frame.timestamp_s for frame in frames]).mean() == pytest.approx(0.02, rel=0.3)
+    # The median: this camera is a program too, and a busy machine holds it up for a frame or two.
+    assert np.median(np.diff([frame.timestamp_s for frame in frames])) == pytest.approx(0.02, rel=0.3)
 
 
 def test_sixteen_bits(camera):

@@ -59,13 +59,13 @@ def gsc() -> Gsc:
 
 
 @pytest.fixture
-def quick(tmp_path: Path) -> Callable[[str], str]:
+def quick(tmp_path: Path) -> Callable[..., str]:
     """A copy of a shipped dialect whose pauses are short; nothing else is changed."""
 
-    def copy(name: str) -> str:
+    def copy(name: str, pause_s: float = 0.05) -> str:
         source = Path(__file__).parents[3] / "drivers" / "stage" / "dialects" / f"{name}.yaml"
         target = tmp_path / f"{name}-quick.yaml"
-        target.write_text(re.sub(r"pause_s: [0-9.]+", "pause_s: 0.05", source.read_text()))
+        target.write_text(re.sub(r"pause_s: [0-9.]+", f"pause_s: {pause_s}", source.read_text()))
         return str(target)
 
     return copy

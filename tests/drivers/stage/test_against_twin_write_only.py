@@ -17,10 +17,12 @@ from sims.clock import Clock
 from sims.stage import AxisSettings, Gcd0301m, Gcd040101m, StageTwin
 
 Build = Callable[..., SerialStage]
-Quick = Callable[[str], str]
+Quick = Callable[..., str]
 
-# Frames 0.05 s apart are 1 s for the twin.
-TIME_SCALE = 10.0
+# The twin loses a frame that follows the last within 0.1 s of its clock, which is 5 ms of ours: its thread may be held
+# up by 95 ms between two frames before that happens.
+TIME_SCALE = 20.0
+PAUSE_S = 0.1
 START_MM = 50.0
 NEAR_MM = 0.012
 AXIS = AxisSettings(start_mm=START_MM, ringing_um=0.0, acceleration_mm_s2=200.0)
@@ -82,7 +84,7 @@ def twin(box: Box, twin_of: Callable[..., StageTwin]) -> StageTwin:
 
 @pytest.fixture
 def stage(box: Box, twin: StageTwin, stage_on: Build, quick: Quick) -> SerialStage:
-    stage = stage_on(twin, quick(box.dialect), **facts(box))
+    stage = stage_on(twin, quick(box.dialect, PAUSE_S), **facts(box))
     stage.zero(0.0, confirmed_by="Ada")
     return stage
 
@@ -105,7 +107,7 @@ def test_moves_both_ways_at_both_speeds(stage: SerialStage, twin: StageTwin) -> 
 
 def test_by_a_socket(box: Box, twin_of: Callable[..., StageTwin], stage_on: Build, quick: Quick) -> None:
     twin = twin_of(box.firmware, by_socket=True)
-    stage = stage_on(twin, quick(box.dialect), **facts(box))
+    stage = stage_on(twin, quick(box.dialect, PAUSE_S), **facts(box))
     stage.zero(0.0, confirmed_by="Ada")
     works(stage, twin, 2.0)
     twin.faults.unplug()
@@ -124,7 +126,7 @@ def test_two_axes_on_one_port(box: Box, twin_of: Callable[..., StageTwin], stage
     stages = [
         stage_on(
             twin,
-            quick(box.dialect),
+            quick(box.dialect, PAUSE_S),
             name=f"stage{axis}",
             axis=axis,
             go_starts_all_axes=False,
@@ -200,13 +202,13 @@ def test_a_wrong_baud_rate_moves_nothing_and_claims_nothing(
     box: Box, twin_of: Callable[..., StageTwin], stage_on: Build, quick: Quick
 ) -> None:
     twin = twin_of(box.firmware)
-    wrong = stage_on(twin, quick(box.dialect), line={"baud": 38400}, **facts(box))
+    wrong = stage_on(twin, quick(box.dialect, PAUSE_S), line={"baud": 38400}, **facts(box))
     wrong.zero(0.0, confirmed_by="Ada")
     wrong.move_to(1.0)
     assert wrong.wait() == Position(1.0, measured=False)
     assert twin.position_mm() == START_MM
     wrong.close()
-    stage = stage_on(twin, quick(box.dialect), name="stage2", **facts(box))
+    stage = stage_on(twin, quick(box.dialect, PAUSE_S), name="stage2", **facts(box))
     stage.zero(0.0, confirmed_by="Ada")
     works(stage, twin, 1.0)
 
