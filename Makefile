@@ -2,6 +2,8 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 RUN := $(VENV)/bin
+# These talk to instruments in real time: one after another, with the machine to themselves.
+REAL_TIME := $(addprefix tests/,acquisition bench conformance drivers e2e sims/camera sims/process sims/projector sims/stage)
 
 .PHONY: demo test check clean
 
@@ -9,7 +11,8 @@ demo: $(VENV)/demo.stamp
 	$(RUN)/irpmd-rig demo
 
 test: $(VENV)/dev.stamp
-	$(RUN)/python -m pytest
+	$(RUN)/python -m pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore=%)
+	$(RUN)/python -m pytest $(REAL_TIME)
 
 check: $(VENV)/dev.stamp
 	$(RUN)/ruff check .

@@ -1,5 +1,7 @@
 """The closed set of errors that a driver raises: which device, what happened, and what mends it."""
 
+# ruff: noqa: N818 - the names say what happened, as the rig's faults are called
+
 
 class InstrumentError(Exception):
     """Base of every error of an instrument; raise one of its subclasses.
@@ -25,47 +27,47 @@ class InstrumentError(Exception):
         return f"{self.device}: {self.what} ({self.remedy})"
 
 
-class NotConnected(InstrumentError):  # noqa: N818 - the names say what happened, as the rig's faults are called
+class NotConnected(InstrumentError):
     """The instrument is not there or not open: it was never reached."""
 
 
-class DeviceLost(InstrumentError):  # noqa: N818
+class DeviceLost(InstrumentError):
     """The instrument was there and went away: unplugged, switched off, or its process died."""
 
 
-class TimedOut(InstrumentError):  # noqa: N818
+class TimedOut(InstrumentError):
     """The instrument is there, but the bound passed before what was asked; it may still be under way."""
 
 
-class Refused(InstrumentError):  # noqa: N818
+class Refused(InstrumentError):
     """The instrument or its driver refuses this value, or this operation in the present state."""
 
 
-class Unsupported(InstrumentError):  # noqa: N818
+class Unsupported(InstrumentError):
     """Something that the instrument cannot do at all: no such node, command or capability."""
 
 
-class LimitReached(InstrumentError):  # noqa: N818
+class LimitReached(InstrumentError):
     """A limit of travel: a target outside the soft limits, or a limit switch that ended a move."""
 
 
-class MotionFailed(InstrumentError):  # noqa: N818
+class MotionFailed(InstrumentError):
     """A move that stalled, was stopped, or ended outside its in-position window."""
 
 
-class IncompleteFrame(InstrumentError):  # noqa: N818
+class IncompleteFrame(InstrumentError):
     """A frame arrived with parts missing; its pixels are not passed on."""
 
 
-class FramesLost(InstrumentError):  # noqa: N818
+class FramesLost(InstrumentError):
     """Frames that were exposed never arrived."""
 
 
-class DeviceFault(InstrumentError):  # noqa: N818
+class DeviceFault(InstrumentError):
     """The instrument reports a fault of its own: over-temperature, LED fault, node error."""
 
 
-class GarbledReply(InstrumentError):  # noqa: N818
+class GarbledReply(InstrumentError):
     """An answer came that the protocol does not know."""
 
 

@@ -1,7 +1,8 @@
-"""Configuration files that ship with the package."""
+"""Configuration files that ship with the package: worlds, rigs and recipes, by name or by path."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 # In a wheel the folder lies inside the package, in a checkout beside it.
@@ -9,61 +10,39 @@ _PACKAGE = Path(__file__).parent
 CONFIGS = next(folder for folder in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if folder.is_dir())
 
 
-def shipped_worlds() -> dict[str, Path]:
-    """Shipped worlds by name."""
-    return {path.stem: path for path in sorted((CONFIGS / "worlds").glob("*.yaml"))}
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """Files of one kind; its folder has its name, in the plural."""
+
+    name: str
+
+    def shipped(self) -> dict[str, Path]:
+        """Shipped files by name."""
+        return {path.stem: path for path in sorted((CONFIGS / f"{self.name}s").glob("*.yaml"))}
+
+    def file(self, name_or_path: str) -> Path:
+        """File given by path or by the name of a shipped one.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is neither; the message lists the shipped names.
+        """
+        path = Path(name_or_path)
+        if path.is_file():
+            return path
+        shipped = self.shipped()
+        found = shipped.get(name_or_path.removesuffix(".yaml"))
+        if found is None:
+            raise FileNotFoundError(
+                f"no {self.name} file {name_or_path!r}: give a path or one of the shipped {self.name}s "
+                f"{', '.join(shipped)}"
+            )
+        return found
 
 
-def world_file(name_or_path: str) -> Path:
-    """File of a world given by path or by the name of a shipped one.
+_WORLD, _RIG, _RECIPE = _Kind("world"), _Kind("rig"), _Kind("recipe")
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is neither; the message lists the shipped names.
-    """
-    return _found("world", name_or_path, shipped_worlds())
-
-
-def shipped_rigs() -> dict[str, Path]:
-    """Shipped rig files by name."""
-    return {path.stem: path for path in sorted((CONFIGS / "rigs").glob("*.yaml"))}
-
-
-def rig_file(name_or_path: str) -> Path:
-    """File of a rig given by path or by the name of a shipped one.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is neither; the message lists the shipped names.
-    """
-    return _found("rig", name_or_path, shipped_rigs())
-
-
-def shipped_recipes() -> dict[str, Path]:
-    """Shipped recipes by name."""
-    return {path.stem: path for path in sorted((CONFIGS / "recipes").glob("*.yaml"))}
-
-
-def recipe_file(name_or_path: str) -> Path:
-    """File of a recipe given by path or by the name of a shipped one.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is neither; the message lists the shipped names.
-    """
-    return _found("recipe", name_or_path, shipped_recipes())
-
-
-def _found(kind: str, name_or_path: str, shipped: dict[str, Path]) -> Path:
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    name = name_or_path.removesuffix(".yaml")
-    if name in shipped:
-        return shipped[name]
-    raise FileNotFoundError(
-        f"no {kind} file {name_or_path!r}: give a path or one of the shipped {kind}s {', '.join(shipped)}"
-    )
+shipped_worlds, world_file = _WORLD.shipped, _WORLD.file
+shipped_rigs, rig_file = _RIG.shipped, _RIG.file
+shipped_recipes, recipe_file = _RECIPE.shipped, _RECIPE.file

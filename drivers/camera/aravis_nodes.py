@@ -67,8 +67,9 @@ class AravisNodes:
             # Aravis 0.8.26 writes what is out of range where the limits are those of another node.
             raise NodeRefused(f"it must be {low_high[0]:g} to {low_high[1]:g}")
         if kind in ("enumeration", "string"):
-            kind, value = "string", str(value).encode()  # type: ignore[assignment]
-        getattr(self._library, f"arv_device_set_{kind}_feature_value")(self._device, name.encode(), value)
+            self._library.arv_device_set_string_feature_value(self._device, name.encode(), str(value).encode())
+        else:
+            getattr(self._library, f"arv_device_set_{kind}_feature_value")(self._device, name.encode(), value)
 
     def execute(self, name: str) -> None:
         """Run a command."""

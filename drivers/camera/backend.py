@@ -17,7 +17,7 @@ class NodeRefused(Exception):  # noqa: N818 - as the errors of drivers.errors ar
     """The node map refuses: out of range, not among the entries, not writable now."""
 
 
-class NodeFailed(Exception):  # noqa: N818
+class NodeFailed(Exception):  # noqa: N818 - as above
     """The camera did not do what a node asked of it, or did not answer."""
 
 

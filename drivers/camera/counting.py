@@ -12,7 +12,7 @@ class Arrival:
     lost
         Frames of the burst that are missing before it.
     index
-        Its position in the burst; None: it lies beyond the burst.
+        Its position in the burst; None: it has none, since it lies beyond the burst or came before.
     """
 
     lost: int
@@ -62,6 +62,9 @@ class FrameCount:
             gap = self._gap_before_first(frame_id, stream_lost)
             if self._position + gap == 0:
                 self.first_id = frame_id
+        elif frame_id == self._next_id - 1:
+            # Delivered again: a stale frame takes no place from those to come.
+            return Arrival(0, None)
         else:
             # A count that went backwards has begun anew: nothing can be said about it.
             gap = max(0, frame_id - self._next_id)

@@ -8,8 +8,8 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from genicam import genapi, gentl  # type: ignore[import-untyped]
-from harvesters.core import Callback, Harvester, ImageAcquirer  # type: ignore[import-untyped]
+from genicam import genapi, gentl
+from harvesters.core import Callback, Harvester, ImageAcquirer
 
 from drivers.camera.backend import INCOMPLETE, Incomplete, NodeFailed, NodeRefused, Nodes, Picture
 from drivers.camera.harvesters_nodes import GenApiNodes, first_line, told_apart
@@ -23,7 +23,7 @@ _UNKNOWN = (0, 2, None)
 _WHEEL_ERRORS = (genapi.GenericException, gentl.GenericException)
 
 
-class _Flag(Callback):  # type: ignore[misc]
+class _Flag(Callback):  # type: ignore[misc]  # harvesters has no types
     """Notes that harvesters discarded an incomplete frame: its `try_fetch` says nothing about it."""
 
     def __init__(self) -> None:
@@ -205,7 +205,8 @@ class HarvestersBackend:
                 self._device, f"the camera {told.get('id_')} is in use or may not be opened",
                 "end the program that uses it, or give this user the right to (udev rule, group)",
             )  # fmt: skip
-        self._identity = tuple(str(told.get(key) or "") for key in ("vendor", "model", "serial_number"))  # type: ignore[assignment]
+        vendor, model, serial_number = (str(told.get(key) or "") for key in ("vendor", "model", "serial_number"))
+        self._identity = (vendor, model, serial_number)
         return info
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from genicam import genapi, gentl  # type: ignore[import-untyped]
+from genicam import genapi, gentl
 
 from drivers.camera.backend import NodeFailed, NodeKind, NodeRefused
 from drivers.camera.ximea_nodes import Value

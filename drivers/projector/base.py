@@ -123,15 +123,15 @@ class PatternProjector(ABC):
 
     def close(self) -> None:
         """Turn the light off and disconnect; never raises, may be repeated."""
-        self._gate.stop()
-        self._gate.drain(CLOSE_LIMIT_S)
-        with self._line:
-            if self._opened and self._reached:
-                with suppress(InstrumentError):
-                    self._light_off()
-            self._opened = False
-            self._release()
-            self._forget(ProjectorCondition.CLOSED)
+        with self._gate.stopping():
+            self._gate.drain(CLOSE_LIMIT_S)
+            with self._line:
+                if self._opened and self._reached:
+                    with suppress(InstrumentError):
+                        self._light_off()
+                self._opened = False
+                self._release()
+                self._forget(ProjectorCondition.CLOSED)
 
     def stop(self) -> StopAnswer:
         """End what is going on: the projector shows nothing any more; from any thread, at any time.
@@ -141,8 +141,7 @@ class PatternProjector(ABC):
         InstrumentError
             The box could not be told: look at it.
         """
-        self._gate.stop()
-        with self._line:
+        with self._gate.stopping(), self._line:
             if self._opened:
                 if self._reached:
                     with self._talking(always=True):

@@ -109,11 +109,11 @@ class FlashPatterns:
         self._sequence = None
         self._images = self._controller.ask(FLASH_IMAGES)[0]
 
-    def count(self, bits: int) -> int:
+    def count(self, bits: int, /) -> int:
         """Tell how many patterns the images hold."""
         return self._images * (IMAGE_BITS // bits)
 
-    def load(self, patterns: NDArray[np.uint8]) -> None:  # noqa: ARG002
+    def load(self, patterns: NDArray[np.uint8]) -> None:  # noqa: ARG002 - takes none, as a source has to
         """Refuse: the box would have to be flashed."""
         raise Unsupported(
             self._device,

@@ -20,21 +20,34 @@ class Gate:
         self._device = device
         self._lock = threading.Lock()
         self._stopped = threading.Event()
+        self._beginning = threading.Lock()
+        self._stops = 0
 
     @contextmanager
     def operation(self) -> Iterator[None]:
-        """Hold the gate; Refused if another operation is under way."""
-        if not self._lock.acquire(blocking=False):
-            raise Refused(self._device, "another operation is under way", "wait for its end, or stop it")
-        try:
+        """Hold the gate; Refused if another operation is under way, or a stop."""
+        with self._beginning:
+            if self._stops:
+                raise Refused(self._device, "it is being stopped", "begin again when that is over")
+            if not self._lock.acquire(blocking=False):
+                raise Refused(self._device, "another operation is under way", "wait for its end, or stop it")
             self._stopped.clear()
+        try:
             yield
         finally:
             self._lock.release()
 
-    def stop(self) -> None:
-        """End the operation that is under way at its next step."""
-        self._stopped.set()
+    @contextmanager
+    def stopping(self) -> Iterator[None]:
+        """End the operation that is under way at its next step, and let none begin meanwhile."""
+        with self._beginning:
+            self._stops += 1
+            self._stopped.set()
+        try:
+            yield
+        finally:
+            with self._beginning:
+                self._stops -= 1
 
     def drain(self, timeout_s: float) -> None:
         """Wait, after `stop`, until no operation is under way."""

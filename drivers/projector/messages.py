@@ -3,15 +3,39 @@
 import json
 import os
 import select
+import signal
 import socket
 import struct
+import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 _HEAD = struct.Struct("<IQ")
 # Within it a process that is not held up ends by itself.
 GRACE_S = 1.0
+
+
+class Failure(Exception):  # noqa: N818 - it is an answer
+    """What went wrong in the process, as (name of the error, what, remedy)."""
+
+    @property
+    def message(self) -> dict[str, str]:
+        """As it is sent."""
+        kind, what, remedy = self.args
+        return {"error": kind, "what": what, "remedy": remedy}
+
+
+def run(serve: Callable[[socket.socket, dict[str, Any]], None]) -> None:
+    """Be the process: serve on the socket whose number is the first argument, with the options in the second."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with socket.socket(fileno=int(sys.argv[1])) as connection:
+        end_with(connection)
+        try:
+            serve(connection, json.loads(sys.argv[2]))
+        except OSError:
+            return
 
 
 def send(connection: socket.socket, head: dict[str, Any], data: bytes = b"") -> None:

@@ -78,7 +78,7 @@ class PatternMemory:
         """The times of the compiled sequences."""
         return tuple(PatternTiming(file.exposure_us, file.period_us, file.bits, file.leds) for file in self._sequences)
 
-    def count(self, bits: int) -> int:  # noqa: ARG002
+    def count(self, _bits: int, /) -> int:
         """Tell how many patterns are loaded."""
         return len(self._patterns)
 

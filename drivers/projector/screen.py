@@ -110,7 +110,7 @@ class Screen:
         """Whether the window's process is there, as far as is known."""
         return self._child is not None
 
-    def count(self, bits: int) -> int:  # noqa: ARG002
+    def count(self, _bits: int, /) -> int:
         """Tell how many patterns are loaded."""
         return self._count
 

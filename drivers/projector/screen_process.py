@@ -1,12 +1,9 @@
 """The process that owns the window: `python -m drivers.projector.screen_process SOCKET OPTIONS`."""
 
 import ctypes
-import json
 import os
 import select
-import signal
 import socket
-import sys
 import time
 import warnings
 from dataclasses import dataclass
@@ -15,17 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.projector.messages import end_with, receive, send
+from drivers.projector.messages import Failure, receive, run, send
 
 # How often events are looked at while nothing else happens.
 LOOK_ROUND_S = 0.02
 # Drivers of SDL that show nothing to anyone.
 INVISIBLE = (b"dummy", b"offscreen", b"evdev")
 GREY = np.arange(256, dtype=np.uint32) * 0x010101
-
-
-class ScreenError(Exception):
-    """What went wrong, as (name of the error, what, remedy)."""
 
 
 class Window:
@@ -43,15 +36,15 @@ class Window:
         try:
             # Imported here: SDL reads the environment when it is loaded.
             with warnings.catch_warnings(action="ignore"):
-                import sdl2  # type: ignore[import-untyped]
+                import sdl2
         except ImportError as error:
             what = f"there is no SDL: {error}"
-            raise ScreenError("ConfigurationError", what, "install PySDL2 and pysdl2-dll") from None
+            raise Failure("ConfigurationError", what, "install PySDL2 and pysdl2-dll") from None
         self._sdl = sdl2
         if sdl2.SDL_Init(sdl2.SDL_INIT_VIDEO):
-            raise ScreenError("NotConnected", f"no display: {self._error()}", "name one that runs, and its X server")
+            raise Failure("NotConnected", f"no display: {self._error()}", "name one that runs, and its X server")
         if sdl2.SDL_GetCurrentVideoDriver() in INVISIBLE:
-            raise ScreenError("NotConnected", "there is no display that anyone sees", "run it in a graphical session")
+            raise Failure("NotConnected", "there is no display that anyone sees", "run it in a graphical session")
         self._size: tuple[int, int] = tuple(options["size_px"])
         self._window = self._place(int(options["display"]), options["corner_px"])
         sdl2.SDL_ShowCursor(sdl2.SDL_DISABLE)
@@ -63,11 +56,11 @@ class Window:
         sdl2, (width, height) = self._sdl, self._size
         count, room = sdl2.SDL_GetNumVideoDisplays(), sdl2.SDL_Rect()
         if display >= count or sdl2.SDL_GetDisplayBounds(display, room):
-            raise ScreenError("NotConnected", f"there is no display {display}", f"give 0 to {count - 1}")
+            raise Failure("NotConnected", f"there is no display {display}", f"give 0 to {count - 1}")
         left, top = corner or (0, 0)
         exact, fits = (room.w, room.h) == self._size, left + width <= room.w and top + height <= room.h
         if not (exact if corner is None else fits):
-            raise ScreenError(
+            raise Failure(
                 "ConfigurationError",
                 f"display {display} has {room.w} x {room.h} pixels, the patterns {width} x {height} at ({left}, {top})",
                 "set the display's mode to the size of the projector, or `corner_px`",
@@ -75,10 +68,10 @@ class Window:
         flags = sdl2.SDL_WINDOW_BORDERLESS | sdl2.SDL_WINDOW_ALWAYS_ON_TOP | sdl2.SDL_WINDOW_SKIP_TASKBAR
         window = sdl2.SDL_CreateWindow(b"projector", room.x + left, room.y + top, width, height, flags)
         if not window:
-            raise ScreenError("NotConnected", f"no window: {self._error()}", "look at the display's settings")
+            raise Failure("NotConnected", f"no window: {self._error()}", "look at the display's settings")
         if sdl2.SDL_GetWindowDisplayIndex(window) != display:
             what = f"display {display} cannot be told from another one"
-            raise ScreenError("ConfigurationError", what, "let both displays belong to one X screen, side by side")
+            raise Failure("ConfigurationError", what, "let both displays belong to one X screen, side by side")
         return window
 
     def draw(self, image: NDArray[np.uint8] | None) -> None:
@@ -88,7 +81,7 @@ class Window:
         surface = sdl2.SDL_GetWindowSurface(self._window).contents
         if surface.format.contents.BitsPerPixel != 32 or (surface.w, surface.h) != self._size:
             what = "the window has another size, or other pixels, than it was given"
-            raise ScreenError("DeviceFault", what, "set the display to 24 bits, and let no window manager resize it")
+            raise Failure("DeviceFault", what, "set the display to 24 bits, and let no window manager resize it")
         words = ctypes.cast(surface.pixels, ctypes.POINTER(ctypes.c_uint32))
         pixels = np.ctypeslib.as_array(words, (height, surface.pitch // 4))[:, :width]
         if image is None:
@@ -106,7 +99,7 @@ class Window:
 
     def _flip(self) -> None:
         if self._sdl.SDL_UpdateWindowSurface(self._window):
-            raise ScreenError("DeviceFault", f"the window cannot be drawn: {self._error()}", "look at the display")
+            raise Failure("DeviceFault", f"the window cannot be drawn: {self._error()}", "look at the display")
 
     def _error(self) -> str:
         return str(self._sdl.SDL_GetError().decode("utf-8", "replace"))
@@ -189,8 +182,8 @@ def serve(connection: socket.socket, options: dict[str, Any]) -> None:
     """Open the window, then answer calls until the other end has gone."""
     try:
         window = Window(options)
-    except ScreenError as error:
-        send(connection, _told(error))
+    except Failure as failure:
+        send(connection, failure.message)
         return
     player = Player(window, tuple(options["size_px"]))
     send(connection, {})
@@ -200,28 +193,12 @@ def serve(connection: socket.socket, options: dict[str, Any]) -> None:
             head, data = receive(connection)
             try:
                 answer = player.obey(head, data)
-            except ScreenError as error:
-                answer = _told(error)
+            except Failure as failure:
+                answer = failure.message
             send(connection, answer)
         player.tick()
         window.attend()
 
 
-def _told(error: ScreenError) -> dict[str, Any]:
-    kind, what, remedy = error.args
-    return {"error": kind, "what": what, "remedy": remedy}
-
-
-def main() -> None:
-    """Serve on the socket whose number is the first argument."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with socket.socket(fileno=int(sys.argv[1])) as connection:
-        end_with(connection)
-        try:
-            serve(connection, json.loads(sys.argv[2]))
-        except OSError:
-            return
-
-
 if __name__ == "__main__":
-    main()
+    run(serve)

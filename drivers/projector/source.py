@@ -35,7 +35,7 @@ class PatternSource(Protocol):
 
     size_px: tuple[int, int]
 
-    def count(self, bits: int) -> int:
+    def count(self, bits: int, /) -> int:
         """Tell how many patterns of so many bits can be shown."""
 
     def load(self, patterns: NDArray[np.uint8]) -> None:

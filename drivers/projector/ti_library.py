@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.errors import DeviceLost, NotConnected, TimedOut
+from drivers.errors import DeviceFault, DeviceLost, NotConnected, TimedOut
 from drivers.projector.child import Child
 from drivers.projector.ti_api import OPERATIONS, Result, Value
 
@@ -61,7 +61,8 @@ class LibraryTransport:
         Raises
         ------
         DeviceFault
-            It returns an error; TI's library does not say which.
+            It returns an error; TI's library does not say which. The box may have been switched off and on: its process
+            was ended, so that nothing is believed of what lies in the box.
         TimedOut
             It does not return; its process was ended.
         DeviceLost
@@ -76,7 +77,7 @@ class LibraryTransport:
                 data = found
         try:
             answer = child.call(operation, data, timeout_s=self._timeout_s, values=values)
-        except (DeviceLost, TimedOut):
+        except (DeviceFault, DeviceLost, TimedOut):
             self.close()
             raise
         result: Result = answer["result"]

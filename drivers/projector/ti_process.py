@@ -1,13 +1,10 @@
 """The process that holds TI's library: `python -m drivers.projector.ti_process SOCKET OPTIONS`."""
 
 import ctypes
-import json
-import signal
 import socket
-import sys
 from typing import Any
 
-from drivers.projector.messages import end_with, receive, send
+from drivers.projector.messages import Failure, receive, run, send
 from drivers.projector.ti_api import OPERATIONS, Kind
 
 OK = 0
@@ -27,10 +24,6 @@ _TYPES: dict[Kind, Any] = {
 _OUTPUT = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
 
 
-class LibraryError(Exception):
-    """What went wrong, as (name of the error, what, remedy)."""
-
-
 class Library:
     """TI's portability layer.
 
@@ -45,15 +38,15 @@ class Library:
             self._library = ctypes.CDLL(path)
         except OSError as error:
             what = f"TI's library cannot be loaded: {error}"
-            raise LibraryError("ConfigurationError", what, "correct `library`") from None
+            raise Failure("ConfigurationError", what, "correct `library`") from None
         lacking = [name for name in ("InitPortabilityLayer", *OPERATIONS) if not hasattr(self._library, name)]
         if lacking:
             what = f"{path} lacks {', '.join(lacking[:4])}"
-            raise LibraryError("ConfigurationError", what, "name TI's API library for the LightCommander in `library`")
+            raise Failure("ConfigurationError", what, "name TI's API library for the LightCommander in `library`")
         # Kept: the library calls it for as long as it is loaded.
         self._output = _OUTPUT(_ignore)
         if self._library.InitPortabilityLayer(ctypes.c_ubyte(0), ctypes.c_ubyte(0), self._output) != OK:
-            raise LibraryError("NotConnected", "TI's library finds no LightCommander", "switch it on and plug it in")
+            raise Failure("NotConnected", "TI's library finds no LightCommander", "switch it on and plug it in")
 
     def call(self, name: str, values: dict[str, Any], data: bytes) -> int | float | str | None:
         """Call one function, and return what it gives back."""
@@ -68,7 +61,7 @@ class Library:
             arguments.append(ctypes.byref(result))
         if getattr(self._library, name)(*arguments) != OK:
             what = f"TI's library reports an error in {name}"
-            raise LibraryError("DeviceFault", what, "see that the box is on, then retry")
+            raise Failure("DeviceFault", what, "see that the box is on, then retry")
         if result is None:
             return None
         value: int | float | bytes = result.value
@@ -88,36 +81,20 @@ def _ignore(message: bytes) -> None:
     """Take a line of the library's log."""
 
 
-def serve(connection: socket.socket, path: str) -> None:
+def serve(connection: socket.socket, options: dict[str, Any]) -> None:
     """Load the library, then answer calls until the other end has gone."""
     try:
-        library = Library(path)
+        library = Library(options["library"])
         send(connection, {})
         while True:
             head, data = receive(connection)
             try:
                 send(connection, {"result": library.call(head["call"], head["values"], data)})
-            except LibraryError as error:
-                send(connection, _told(error))
-    except LibraryError as error:
-        send(connection, _told(error))
-
-
-def _told(error: LibraryError) -> dict[str, str]:
-    kind, what, remedy = error.args
-    return {"error": kind, "what": what, "remedy": remedy}
-
-
-def main() -> None:
-    """Serve on the socket whose number is the first argument."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with socket.socket(fileno=int(sys.argv[1])) as connection:
-        end_with(connection)
-        try:
-            serve(connection, json.loads(sys.argv[2])["library"])
-        except OSError:
-            return
+            except Failure as failure:
+                send(connection, failure.message)
+    except Failure as failure:
+        send(connection, failure.message)
 
 
 if __name__ == "__main__":
-    main()
+    run(serve)

@@ -57,7 +57,7 @@ class VideoProjector(PatternProjector):
     def _light_off(self) -> None:
         self._screen.dark()
 
-    def _set_light(self, led: Led, intensity: float) -> None:  # noqa: ARG002
+    def _set_light(self, led: Led, intensity: float) -> None:  # noqa: ARG002 - refused, as below
         raise Unsupported(self._name, f"a video signal does not switch the LED {led}", "set the light at the projector")
 
     def _set_sync(self, sync: SyncOutput) -> None:  # noqa: ARG002

@@ -53,6 +53,9 @@ class SerialStageSettings(AxisFacts):
         How long an operation tries to open a lost line again.
     accept_no_stop
         The user's acknowledgement that software cannot stop this stage; needed where that is so.
+    moving_at_open_s
+        Without read-back: for how long a motion may go on that an earlier program began; none: for as long as the way
+        between the limits takes. 0 where nothing can move.
     line, go_starts_all_axes
         Override the dialect's.
     """
@@ -70,6 +73,7 @@ class SerialStageSettings(AxisFacts):
     home_timeout_s: Positive = 120.0
     reconnect_s: NotNegative = 5.0
     accept_no_stop: bool = False
+    moving_at_open_s: NotNegative | None = None
     line: Line | None = None
     go_starts_all_axes: bool | None = None
 

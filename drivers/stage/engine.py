@@ -20,12 +20,13 @@ from drivers.stage.axis import Scale, SerialStageSettings, resolve
 from drivers.stage.controller import Controller
 from drivers.stage.dialect import load_dialect
 from drivers.stage.frames import Status
-from drivers.stage.motion import Move, Watch, begun
+from drivers.stage.homing import Homing
+from drivers.stage.motion import Move, Watch, begun, begun_before
 from drivers.stage.port import LINE_LIMIT_S, acquire, never, release
 from drivers.values import Position, StageCapabilities, StageCondition, StageState, StopAnswer, TravelLimits
 
 # The last motions of controllers that never answer, by line and axis: each goes on to its end, whatever becomes of
-# the line, and of the driver that began it.
+# the line, and of the driver that began it. Of one that this program has not moved yet the worst is believed.
 _unseen: dict[tuple[str, int], Move] = {}
 
 
@@ -74,6 +75,8 @@ class SerialStage:
     def open(self) -> None:
         """Open the line, end a motion that is going on, and set the speed; the axis then has no zero.
 
+        A motion that can be neither asked for nor ended is waited for by whatever comes next: see `moving_at_open_s`.
+
         Raises
         ------
         NotConnected
@@ -89,6 +92,8 @@ class SerialStage:
             self._controller = Controller(axis, port)
             self._generation = 0
             self._stopped.clear()
+            if not self._controller.reads_position:
+                _unseen.setdefault(self._place, begun_before(axis, self._drive))
             try:
                 self._connected(patience_s=0.0)
             except BaseException as error:
@@ -129,8 +134,8 @@ class SerialStage:
         ------
         Unsupported
             The controller cannot.
-        TimedOut, MotionFailed
-            It does not end, or not at zero.
+        TimedOut, MotionFailed, LimitReached
+            It does not end, not at zero, or nothing is seen to move (`drivers.stage.homing`).
         """
         with self._exclusively():
             self._stopped.clear()
@@ -146,10 +151,7 @@ class SerialStage:
             # `close` and `state` must know of the motion while it lasts.
             self._move = Move(0, 0, time.monotonic(), 0.0, self._axis.settings.home_timeout_s)
             try:
-                with self._starting:
-                    if not controller.home(self._stopped.is_set):
-                        raise MotionFailed(self._name, "stopped before homing began", "home again")
-                counts = self._watch(controller).homed()
+                counts = Homing(self._axis, controller, self._drive, self._stopped, self._starting).find()
             except InstrumentError as error:
                 self._failure = error
                 raise
@@ -412,8 +414,11 @@ class SerialStage:
             )
 
     def _refuse_while_moving(self, controller: Controller) -> None:
-        if controller.busy() if controller.reads_position else self._unseen_left_s() > 0.0:
-            raise Refused(self._name, "the axis still moves", "wait for it, or stop it")
+        if controller.reads_position:
+            if controller.busy():
+                raise Refused(self._name, "the axis still moves", "wait for it, or stop it")
+        elif (left_s := self._unseen_left_s()) > 0.0:
+            raise Refused(self._name, "the axis still moves, or may: nobody can ask it", f"wait {left_s:.1f} s")
 
     def _connected(self, *, patience_s: float) -> Controller:
         controller = self._controller

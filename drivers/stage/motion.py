@@ -64,6 +64,16 @@ def begun(axis: Axis, drive: Drive, start: int, target: int, *, at_limit: bool =
     return Move(start, target, time.monotonic(), cruise_s, lasts_s, at_limit)
 
 
+def begun_before(axis: Axis, drive: Drive) -> Move:
+    """Describe what may be under way, begun by an earlier program, in a controller that cannot be asked."""
+    settings = axis.settings
+    lasts_s = settings.moving_at_open_s
+    if lasts_s is None:
+        lower_mm, upper_mm = settings.limits_mm
+        lasts_s = (upper_mm - lower_mm) / drive.speed_mm_per_s + axis.ramp_s + settings.settle_s
+    return Move(0, 0, time.monotonic(), lasts_s, lasts_s)
+
+
 class Watch:
     """Follows the moves of one axis through what its controller tells, or by computed time."""
 
@@ -114,7 +124,7 @@ class Watch:
         now_s = time.monotonic()
         end_s, changed_s, counts = now_s + bound_s, now_s, None
         while True:
-            status = self._read()
+            status = self.read()
             now_s = time.monotonic()
             if status.counts != counts:
                 counts, changed_s = status.counts, now_s
@@ -125,7 +135,7 @@ class Watch:
                 raise self._ended_elsewhere(move, scale, status)
             if now_s - changed_s > self._settings.progress_timeout_s:
                 self.halt_quietly()
-                raise self._without_progress(f"{scale.to_mm(status.counts):.3f} mm")
+                raise self.without_progress(f"{scale.to_mm(status.counts):.3f} mm")
             if now_s >= end_s:
                 raise self._still_moving(f"at {scale.to_mm(status.counts):.3f} mm after {bound_s:.1f} s")
             self._stopped.wait(POLL_S)
@@ -144,45 +154,11 @@ class Watch:
                 raise self._still_moving(f"after {bound_s:.1f} s")
             time.sleep(POLL_S)
 
-    def homed(self) -> int:
-        """Wait until homing has ended and settled at the controller's zero; returns the counts read.
-
-        Raises
-        ------
-        TimedOut
-            It takes longer than its bound; it was told to stop.
-        MotionFailed
-            Stopped, without progress, or ended elsewhere.
-        """
-        began_s = moved_s = time.monotonic()
-        bound_s = self._settings.home_timeout_s
-        status = self._read()
-        first = counts = status.counts
-        while status.busy or time.monotonic() - began_s < START_S:
-            if status.counts != counts:
-                counts, moved_s = status.counts, time.monotonic()
-            # A controller that does not count while it homes is given the whole bound.
-            if status.busy and counts != first and time.monotonic() - moved_s > self._settings.progress_timeout_s:
-                self.halt_quietly()
-                raise self._without_progress(f"{counts} counts, while homing")
-            if time.monotonic() - began_s >= bound_s:
-                self.halt_quietly()
-                raise TimedOut(
-                    self._device,
-                    f"homing has not ended within {bound_s:g} s",
-                    "check the home switch, then home again; or raise home_timeout_s",
-                )
-            self._stopped.wait(POLL_S)
-            status = self._read()
-        self._stopped.wait(self._settings.settle_s)
-        status = self._read()
-        if status.busy or abs(status.counts) > self._axis.window_counts:
-            raise MotionFailed(
-                self._device,
-                f"homing ended at {status.counts} counts, not at 0",
-                "check the switch, home again",
-            )
-        return status.counts
+    def read(self) -> Status:
+        """Ask for the status; raises MotionFailed where the motion was stopped."""
+        if self._stopped.is_set():
+            raise MotionFailed(self._device, "the motion was stopped", "look why, then move again")
+        return self._controller.status()
 
     def halt(self) -> None:
         """Tell the controller to stop, and wait until nothing moves.
@@ -205,14 +181,17 @@ class Watch:
             with suppress(InstrumentError):
                 self.halt()
 
-    def _read(self) -> Status:
-        if self._stopped.is_set():
-            raise MotionFailed(self._device, "the motion was stopped", "look why, then move again")
-        return self._controller.status()
+    def without_progress(self, where: str) -> MotionFailed:
+        """Make the error of a motion that gets no further."""
+        return MotionFailed(
+            self._device,
+            f"no progress for {self._settings.progress_timeout_s:g} s at {where}",
+            "look for what blocks the stage, then move again or home it",
+        )
 
     def _settled(self, move: Move, scale: Scale) -> int:
         self._stopped.wait(self._settings.settle_s)
-        status = self._read()
+        status = self.read()
         if status.busy or not self._in_window(move, status):
             raise self._ended_elsewhere(move, scale, status)
         return status.counts
@@ -241,13 +220,6 @@ class Watch:
             self._device,
             f"the move ended at {reached_mm:.4f} mm, {reached_mm - target_mm:+.4f} mm from its target"
             f" (window {self._settings.in_position_mm:g} mm)",
-            "look for what blocks the stage, then move again or home it",
-        )
-
-    def _without_progress(self, where: str) -> MotionFailed:
-        return MotionFailed(
-            self._device,
-            f"no progress for {self._settings.progress_timeout_s:g} s at {where}",
             "look for what blocks the stage, then move again or home it",
         )
 

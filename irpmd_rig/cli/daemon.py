@@ -25,18 +25,19 @@ def serve(
 ) -> None:
     """Own a rig and serve it over HTTP until Ctrl-C or SIGTERM; then LEDs are off and stages stopped.
 
-    Prints one line, `ready URL`, when requests are answered. The token that they carry is in the file `token` of the
-    folder of the runs. The log goes to standard error.
+    Prints one line when requests are answered: `ready URL`, or `broken URL` and what is wrong with the rig file, the
+    simulated world or the store, which is then all that is answered. The token that requests carry is in the file
+    `token` of the folder of the runs. The log goes to standard error.
     """
-    from irpmd_rig.service.serve import serve as serve_rig
+    from irpmd_rig.service.server import serve as serve_rig
 
     if until_stdin_closes:
         threading.Thread(target=_end_with_stdin, name="stdin", daemon=True).start()
-    serve_rig(rig, port=port, on_ready=_tell)
+    serve_rig(rig, port=port, tell=_tell)
 
 
-def _tell(url: str) -> None:
-    say(f"ready {url}")
+def _tell(url: str, wrong: str | None) -> None:
+    say(f"ready {url}" if wrong is None else f"broken {url} {wrong}")
     sys.stdout.flush()
 
 

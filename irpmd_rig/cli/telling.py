@@ -11,6 +11,8 @@ from rich.table import Table
 from irpmd_rig.cli.application import note, say
 from irpmd_rig.client import Client, DeviceStop, Run
 
+LISTING_COLUMNS = 300
+
 
 def summary(client: Client, run: Run) -> None:
     """Print how a run ended, and what it measured."""
@@ -18,6 +20,8 @@ def summary(client: Client, run: Run) -> None:
         note(f"run {run.id} {run.state}: {run.reason}: {run.detail}", style="red")
         return
     say(f"run {run.id} succeeded: {run.frames} frames, results {', '.join(run.results) or 'none'}")
+    if run.kind in ("align", "characterise"):
+        say(client.result(run.id)["words"])
     if run.kind == "measure":
         result = client.result(run.id)
         if result["without_steps"]:
@@ -36,14 +40,15 @@ def summary(client: Client, run: Run) -> None:
 
 
 def listing(runs: Sequence[Run]) -> None:
-    """Print a table of runs."""
-    table = Table("run", "kind", "name", "state", "reason", "attempt")
-    for column in (0, 1, 3):
-        table.columns[column].no_wrap = True
+    """Print a table of runs, a line each."""
+    table = Table("run", "kind", "name", "state", "reason", "attempt", box=None, pad_edge=False)
+    for column in table.columns:
+        column.no_wrap = True
     for run in runs:
         state = run.state or "by hand"
         table.add_row(run.id, run.kind, run.name, state, run.reason or "", str(run.attempt))
-    Console().print(table)
+    # A terminal that is too narrow breaks a long line itself; a pipe has no width.
+    Console(width=max(Console().width, LISTING_COLUMNS)).print(table)
 
 
 def everything(run: Run) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -205,6 +206,10 @@ def _zero(stage: Stage, ask: Asker, who: str) -> bool:
             return False
         stage.home()
         return True
+    # Nothing can be asked of it: what an earlier program may have begun is waited for.
+    if (left_s := stage.stop().ends_in_s) > 0.0:
+        ask.say(f"  It may still move from before, for {left_s:.0f} s: waiting.")
+        time.sleep(left_s)
     position_mm = ask.number("  It cannot home. Where does it stand on its scale, in mm?")
     if position_mm is None:
         return False

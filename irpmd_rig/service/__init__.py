@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from irpmd_rig.service.app import create_app
-    from irpmd_rig.service.serve import serve
+    from irpmd_rig.service.server import serve
     from irpmd_rig.service.settings import ServiceSettings
 
 __all__ = ["ServiceSettings", "create_app", "serve"]
 
-_PARTS = {"ServiceSettings": "settings", "create_app": "app", "serve": "serve"}
+_PARTS = {"ServiceSettings": "settings", "create_app": "app", "serve": "server"}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PARTS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    part = getattr(import_module(f"{__name__}.{_PARTS[name]}"), name)
-    # A module that has the name of what is in it would stand in its place.
-    globals()[name] = part
-    return part
+    return getattr(import_module(f"{__name__}.{_PARTS[name]}"), name)

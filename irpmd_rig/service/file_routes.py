@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query
 from starlette.background import BackgroundTask
 from starlette.responses import FileResponse, Response
 
+from irpmd_rig.report.policy import POLICY
 from irpmd_rig.service.desk import Desk, TheDesk
 from irpmd_rig.service.documented import DISK, RUN, binary, problems
 from irpmd_rig.service.models import ResultFile
@@ -26,6 +27,7 @@ Export = Literal["hdf5", "ply", "tiff", "png", "csv"]
 _TYPES = {
     ".tif": "image/tiff",
     ".png": "image/png",
+    ".svg": "image/svg+xml",
     ".npy": MEDIA_TYPES["npy"],
     ".npz": "application/x-npz",
     ".ply": "application/x-ply",
@@ -35,8 +37,9 @@ _TYPES = {
     ".h5": "application/x-hdf5",
 }
 _OTHER = "application/octet-stream"
-# A report is a page: it may show its own pictures and nothing else, and runs nothing.
 _HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox"}
+# A report is a page: it may show what is in it, and run the one script that turns a surface, known by its hash.
+_REPORT_HEADERS = {"Content-Security-Policy": f"{POLICY}; sandbox allow-scripts"}
 
 
 @router.get("/frames", responses=problems(*RUN, "invalid"))
@@ -109,7 +112,15 @@ def _exported(desk: Desk, run_id: str, form: Export) -> tuple[Path, Path]:
 
 
 def _sent(file: Path, name: str, after: BackgroundTask | None = None) -> FileResponse:
-    return FileResponse(file, media_type=_media_type(file), headers=_HEADERS, filename=name, background=after)
+    page = file.suffix == ".html"
+    return FileResponse(
+        file,
+        media_type=_media_type(file),
+        headers=_REPORT_HEADERS if page else _HEADERS,
+        filename=name,
+        background=after,
+        content_disposition_type="inline" if page else "attachment",
+    )
 
 
 def _media_type(file: Path) -> str:

@@ -17,7 +17,8 @@ from irpmd_rig.service.models import Calibration, Optics, Queue, Recipe, Run, Va
 from irpmd_rig.service.orders import InlineRecipe, NamedRecipe, QueueAction, RunAction
 from irpmd_rig.service.problems import Problem, ProblemError
 from irpmd_rig.shipped import shipped_recipes
-from irpmd_rig.store.library import LibraryItem
+from irpmd_rig.store.library import REFERENCE, LibraryItem
+from irpmd_rig.store.record import CALIBRATIONS
 
 router = APIRouter()
 GivenRecipe = NamedRecipe | InlineRecipe
@@ -164,7 +165,7 @@ async def references(desk: TheDesk) -> tuple[Calibration, ...]:
 )
 async def activate_calibration(desk: TheDesk, run_id: str) -> Calibration:
     """Let recipes that say `active` get this calibration."""
-    return _calibration(await desk.listing(desk.daemon.activate, run_id))
+    return _calibration(await desk.listing(desk.daemon.activate, run_id, CALIBRATIONS))
 
 
 @router.post(
@@ -174,7 +175,7 @@ async def activate_calibration(desk: TheDesk, run_id: str) -> Calibration:
 )
 async def activate_reference(desk: TheDesk, run_id: str) -> Calibration:
     """Let recipes that say `active` get this reference."""
-    return _calibration(await desk.listing(desk.daemon.activate, run_id))
+    return _calibration(await desk.listing(desk.daemon.activate, run_id, (REFERENCE,)))
 
 
 def _calibration(item: LibraryItem) -> Calibration:

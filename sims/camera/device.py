@@ -256,6 +256,8 @@ class CameraTwin:
 
     def _replug(self) -> None:
         with self._lock:
+            if self._plugged:
+                return
             self._parameters.reset()
             self._epoch_s = self._clock.now()
             self._plugged = True

@@ -93,7 +93,7 @@ class CameraFaults:
         self._unplug()
 
     def replug(self) -> None:
-        """Put the plug back: the camera is listed again, with its settings as after power-up."""
+        """Put the plug back: the camera is listed again, as after power-up; one that is in stays as it is."""
         self._replug()
 
     @property

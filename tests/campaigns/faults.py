@@ -218,6 +218,8 @@ class Campaign:
         client = self.daemon.client
         with self.daemon.lease():
             for stage in ("stage1", "stage2"):
+                # It may have lost its zero: only homing is sure to be accepted.
+                self._until_done(partial(client.stage_home, stage))
                 self._until_done(partial(client.stage_move, stage, 2.0))
                 self._until_done(partial(client.stage_home, stage))
                 self._until_done(partial(client.stage_move, stage, 0.0))

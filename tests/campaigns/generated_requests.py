@@ -29,7 +29,8 @@ from schemathesis.specs.openapi.checks import negative_data_rejection
 from irpmd_rig.acquisition.daemon import RigDaemon
 from irpmd_rig.acquisition.intake import RecipeText
 from irpmd_rig.acquisition.lease import LeaseHeld, LeaseNeeded
-from tests.service.service_world import ASKING, RECIPE, TOKEN, Service, rig_file, serving, until, world
+from tests.service.service_world import ASKING, RECIPE, TOKEN, Service, serving
+from tests.small_world import rig_file, until, world
 
 ENDLESS = {"events", "run_events", "camera_live"}
 STOPPING = {"stop", "clear_stop"}

@@ -200,7 +200,12 @@ class Lab:
 
     @contextmanager
     def serving(
-        self, *, prefix: tuple[str, ...] = (), environment: dict[str, str] | None = None, limit_s: float = 60.0
+        self,
+        *,
+        prefix: tuple[str, ...] = (),
+        environment: dict[str, str] | None = None,
+        limit_s: float = 60.0,
+        says: str = "ready",
     ) -> Iterator[tuple[subprocess.Popen[str], str]]:
         """A process of `irpmd-rig serve` and its address; whatever is left of it at the end is ended."""
         command = [*prefix, sys.executable, "-c", COMMAND, "serve", str(self.rig)]
@@ -218,7 +223,7 @@ class Lab:
         assert process.stdin is not None
         try:
             line = process.stdout.readline().split()
-            assert line[:1] == ["ready"], f"no daemon: {self.log.read_text()[-2000:]}"
+            assert line[:1] == [says], f"no daemon: {self.log.read_text()[-2000:]}"
             yield process, line[1]
         finally:
             if process.poll() is None:

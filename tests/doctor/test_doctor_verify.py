@@ -41,6 +41,7 @@ stage1:
   ramp_s: 0.2
   speed_mm_per_s: 20.0
   accept_no_stop: true
+  moving_at_open_s: 0.5
 """
 
 DARK = {"led": None, "intensity": 0.0}

@@ -11,7 +11,10 @@ def test_a_broken_configuration_is_told_with_its_place_and_the_service_stays(lab
     lab.write_rig("lihgt: {led: infrared}\n")
     line = lab.rig.read_text().splitlines().index("lihgt: {led: infrared}") + 1
     place = f"{lab.rig}:{line}:1"
-    with lab.serving() as (process, url), httpx.Client(base_url=url, trust_env=False, timeout=20.0) as client:
+    with (
+        lab.serving(says="broken") as (process, url),
+        httpx.Client(base_url=url, trust_env=False, timeout=20.0) as client,
+    ):
         for path in ("/", "/health", "/api/v1/rig"):
             page = client.get(path, headers={"Accept": "text/html"})
             assert page.status_code == 503

@@ -1,8 +1,6 @@
 """A disk without room: before a run, and in the middle of one; on a small file system of the test's own."""
 
-import os
 import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +11,9 @@ from irpmd_rig.client import ProblemError
 from tests.campaigns.lab import Daemon, Lab
 from tests.campaigns.on_disk import complaints, durable_frames, states
 from tests.campaigns.recipes import stations
+from tests.own_file_system import mounted
+
+pytestmark = pytest.mark.mounts
 
 # A run needs about 230 kB a frame: 60 of them fit, 120 do not.
 ROOM_MB = 16
@@ -24,12 +25,7 @@ TOO_MUCH = stations(*range(0, 40, 2))
 def running(lab: Lab) -> Iterator[Daemon]:
     """A daemon that alone sees a small file system where its runs go."""
     lab.root.mkdir()
-    own = ("unshare", "--mount") if os.geteuid() == 0 else ("unshare", "--map-root-user", "--mount")
-    script = f'mount -t tmpfs -o size={ROOM_MB}m runs "{lab.root}" && exec "$@"'
-    done = subprocess.run([*own, "sh", "-c", script, "sh", "true"], capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"no file system of one's own here: {done.stderr.strip()}")
-    with lab.daemon(prefix=(*own, "sh", "-c", script, "sh")) as daemon:
+    with lab.daemon(prefix=mounted(lab.root, ROOM_MB)) as daemon:
         yield daemon
 
 

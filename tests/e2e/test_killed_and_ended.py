@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from irpmd_rig.service.notify import Notifier
-from irpmd_rig.service.serve import Server
+from irpmd_rig.service.server import Server
 from tests.campaigns.lab import Daemon, Lab, until
 from tests.campaigns.on_disk import complaints, durable_frames, lost_frames, states
 from tests.campaigns.recipes import CHAIN, stations

@@ -3,10 +3,11 @@ from pathlib import Path
 
 import httpx
 import pytest
-from service_world import Service, rig_file, serving, until, world
+from service_world import Service, serving
 
 from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RigDaemon
+from tests.small_world import rig_file, until, world
 
 
 @pytest.fixture(scope="session")

@@ -1,26 +1,20 @@
 """A service on a small simulated rig, answering on a free port."""
 
 import asyncio
-import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import httpx
 
-from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RigDaemon
-from irpmd_rig.acquisition.rig_file import RigFile, read_rig
-from irpmd_rig.acquisition.simulated import serve_command
 from irpmd_rig.service import ServiceSettings, create_app
 from irpmd_rig.service.notify import Notifier
-from irpmd_rig.service.serve import Server, listen
-from irpmd_rig.shipped import world_file
+from irpmd_rig.service.server import Server, listen
+from tests.small_world import until
 
 TOKEN = "0123456789abcdef0123456789abcdef"
 API = "/api/v1"
@@ -39,25 +33,6 @@ steps:
 """
 # Asks what no simulated operator answers.
 ASKING = RECIPE.replace("text: Place the mirror., subject: mirror", "text: Look at it.")
-
-
-@contextmanager
-def world(folder: Path) -> Iterator[WorldControl]:
-    command = serve_command(world_file("misaligned"), folder, {"size-px": 96, "time-scale": 20})
-    process = subprocess.Popen(
-        [*command, "--until-stdin-closes"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(b"ready")
-        yield WorldControl(folder)
-    finally:
-        process.communicate(timeout=20)
-
-
-def rig_file(world_folder: Path, root: Path) -> RigFile:
-    file = read_rig("sim").with_simulation(folder=world_folder)
-    return replace(file, storage=file.storage.model_copy(update={"root": root, "reserve_gb": 0.0}))
 
 
 def rig_file_text(world_folder: Path, root: Path) -> str:
@@ -95,14 +70,6 @@ def serving(daemon: RigDaemon, **settings: Any) -> Iterator[Service]:
             server.ask_to_end()
             thread.join(20)
             assert not thread.is_alive()
-
-
-def until(what: Callable[[], bool], limit_s: float = 20.0) -> None:
-    """Wait for something that has to become true."""
-    end_s = time.monotonic() + limit_s
-    while not what():
-        assert time.monotonic() < end_s, "it did not happen in time"
-        time.sleep(0.02)
 
 
 def slug(answer: httpx.Response) -> str:

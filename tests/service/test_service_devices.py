@@ -7,9 +7,10 @@ import httpx
 import numpy as np
 import pytest
 import tifffile
-from service_world import API, Service, lease, slug, until
+from service_world import API, Service, lease, slug
 
 from irpmd_rig.acquisition.control import WorldControl
+from tests.small_world import until
 
 DEVICES = f"{API}/devices"
 

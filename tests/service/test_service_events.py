@@ -9,7 +9,9 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
-from service_world import API, RECIPE, TOKEN, Service, lease, slug, until
+from service_world import API, RECIPE, TOKEN, Service, lease, slug
+
+from tests.small_world import until
 
 
 def events_in(text: str) -> list[dict[str, Any]]:

@@ -13,9 +13,10 @@ from typing import Any
 
 import httpx
 import pytest
-from service_world import API, daemon_command, rig_file_text, until, world
+from service_world import API, daemon_command, rig_file_text
 
 from irpmd_rig.acquisition.control import WorldControl
+from tests.small_world import until, world
 
 
 class Process:

@@ -1,5 +1,7 @@
 """Recipes in, runs and their files out."""
 
+import base64
+import hashlib
 import io
 import re
 import threading
@@ -13,7 +15,10 @@ import httpx
 import numpy as np
 import pytest
 import tifffile
-from service_world import API, ASKING, RECIPE, Service, lease, slug, until
+from service_world import API, ASKING, RECIPE, Service, lease, slug
+
+from irpmd_rig.report.policy import VIEWER
+from tests.small_world import until
 
 RUNS = f"{API}/runs"
 ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}")
@@ -153,15 +158,22 @@ def test_results_come_as_files(client: httpx.Client, done: str, running: Service
     folder.mkdir(exist_ok=True)
     (folder / "report.html").write_text("<script>alert(1)</script>")
     (folder / "steps.csv").write_text("step\n1\n")
+    (folder / "steps.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     listed = {file["name"]: file for file in client.get(f"{RUNS}/{done}/results").json()}
     assert listed["steps.csv"] == {"name": "steps.csv", "bytes": 7, "media_type": "text/csv"}
     table = client.get(f"{RUNS}/{done}/results/steps.csv")
     assert table.text == "step\n1\n"
     assert "steps.csv" in table.headers["content-disposition"]
     report = client.get(f"{RUNS}/{done}/results/report.html")
-    # Whatever a report holds, a browser runs none of it.
-    assert "sandbox" in report.headers["content-security-policy"]
-    assert "script" not in report.headers["content-security-policy"]
+    # Whatever a report holds, a browser runs none of it but the one script of ours, and loads nothing.
+    policy = dict(part.strip().split(" ", 1) for part in report.headers["content-security-policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert policy["sandbox"] == "allow-scripts"
+    assert policy["script-src"] == f"'sha256-{base64.b64encode(hashlib.sha256(VIEWER.encode()).digest()).decode()}'"
+    assert report.headers["content-disposition"].startswith("inline")
+    drawing = client.get(f"{RUNS}/{done}/results/steps.svg")
+    assert drawing.headers["content-type"].startswith("image/svg+xml")
+    assert "script" not in drawing.headers["content-security-policy"]
     assert client.get(f"{RUNS}/{done}/exports/csv").text == "step\n1\n"
     assert slug(client.get(f"{RUNS}/{done}/exports/ply")) == "nothing-to-export"
     assert slug(client.get(f"{RUNS}/{done}/exports/zip")) == "invalid"
@@ -180,6 +192,16 @@ def test_what_cannot_be_a_calibration_is_not_activated(client: httpx.Client, don
     assert client.get(f"{API}/calibrations").json() == client.get(f"{API}/references").json() == []
     assert slug(client.post(f"{API}/calibrations/{done}/activate")) == "not-usable"
     assert slug(client.post(f"{API}/references/nix/activate")) == "no-such-run"
+
+
+def test_a_recipe_that_names_what_cannot_serve_is_refused_at_once(client: httpx.Client, done: str) -> None:
+    for named in ("20260101-000000-abcdef", done):
+        text = f"kind: measure\nname: x\nobject: mirror_step_y\nreference: {named}\n"
+        answer = client.post(RUNS, json={"text": text})
+        assert (answer.status_code, slug(answer)) == (422, "recipe-refused")
+        (error,) = answer.json()["errors"]
+        assert (error["line"], error["column"]) == (4, 12)
+        assert named in error["what"]
 
 
 def test_a_prompt_is_answered(client: httpx.Client) -> None:

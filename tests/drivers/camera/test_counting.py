@@ -19,6 +19,12 @@ def test_a_gap_is_a_lost_frame_and_keeps_its_place():
     assert count.frame(3) == Arrival(2, 3)
 
 
+def test_a_frame_that_comes_again_is_stale_and_takes_no_place():
+    count = FrameCount(3)
+    assert [count.frame(number).index for number in (5, 5, 6, 6, 7)] == [0, None, 1, None, 2]
+    assert count.complete
+
+
 def test_an_incomplete_frame_keeps_its_place():
     count = FrameCount(None)
     count.frame(0)

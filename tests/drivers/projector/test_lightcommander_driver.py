@@ -242,13 +242,19 @@ def test_close_turns_the_light_off_and_open_works_again(light_box: Box, lit: Lig
 
 def test_stop_ends_a_load_from_another_thread(light_box: Box, lit: LightCommander) -> None:
     many = np.random.default_rng(1).integers(0, 256, (60, 768, 1024), np.uint8)
-    stopper = threading.Timer(0.3, lit.stop)
+    first_new = 8 * len(IMAGES)
+    before = light_box._box.planes[first_new]
+
+    def stop_under_way() -> None:
+        wait_until(lambda: light_box._box.planes[first_new] is not before, within_s=20.0)
+        lit.stop()
+
+    stopper = threading.Thread(target=stop_under_way)
     stopper.start()
-    begun_s = time.monotonic()
     with pytest.raises(Refused, match="stopped"):
         lit.load(many)
-    assert time.monotonic() - begun_s < 1.5
     stopper.join()
+    assert light_box._box.planes[8 * len(many) - 1] is before
     with pytest.raises(Refused, match="not loaded"):
         lit.show(0)
     lit.load(IMAGES)

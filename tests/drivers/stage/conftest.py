@@ -40,6 +40,7 @@ def stage_on() -> Iterator[Callable[..., SerialStage]]:
             "speed_mm_per_s": 10.0,
             "settle_s": 0.0,
             "reconnect_s": 2.0,
+            "moving_at_open_s": 0.0,
         }
         stage = make("stage", "serial", name, values | settings)
         assert isinstance(stage, SerialStage)

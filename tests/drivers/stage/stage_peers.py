@@ -127,13 +127,23 @@ class Gsc:
     """Answers like the command table of a GSC-01, and moves at a constant speed of its own."""
 
     def __init__(self, counts_per_s: float = 40_000.0) -> None:
-        self.counts_per_s = counts_per_s
+        self._counts_per_s = counts_per_s
         self.start = self.target = self.pending = 0
         self.began_s = time.monotonic()
         self.stalls_at: int | None = None
         self.limit_at: int | None = None
         self.overshoots_by = 0
         self.override: dict[bytes, bytes] = {}
+
+    @property
+    def counts_per_s(self) -> float:
+        return self._counts_per_s
+
+    @counts_per_s.setter
+    def counts_per_s(self, counts_per_s: float) -> None:
+        # What lies behind it was gone at the speed of then.
+        self.start, self.began_s = self.counts(), time.monotonic()
+        self._counts_per_s = counts_per_s
 
     def counts(self) -> int:
         way = self.target - self.start

@@ -42,6 +42,10 @@ def test_homes_and_moves_in_mm(stage: SerialStage, peer: Peer) -> None:
     commands = [frame for frame in peer.heard if frame not in (b"Q:\r\n", b"!:\r\n")]
     assert commands == [
         b"D:1S500F10000R200\r\n",
+        # It stands there already: a short way and back proves that it homes.
+        b"H:1\r\n",
+        b"A:1+P500\r\n",
+        b"G:\r\n",
         b"H:1\r\n",
         b"A:1+P1500\r\n",
         b"G:\r\n",
@@ -181,6 +185,31 @@ def test_stop_ends_homing_and_leaves_no_zero(stage: SerialStage, gsc: Gsc) -> No
         stage.home()
     timer.join()
     assert stage.state().condition == StageCondition.NO_ZERO
+    assert stage.state().position is None
+
+
+def test_a_home_that_nobody_sees_is_proved_by_a_short_way_there_and_back(
+    stage: SerialStage, peer: Peer, gsc: Gsc
+) -> None:
+    assert stage.home() == Position(0.0, measured=True)
+    homes = [place for place, frame in enumerate(peer.heard) if frame == b"H:1\r\n"]
+    assert len(homes) == 2
+    assert b"A:1+P500\r\n" in peer.heard[slice(*homes)]
+    # It stands elsewhere: that it goes is seen.
+    gsc.start = gsc.target = 4000
+    stage.home()
+    assert peer.heard.count(b"H:1\r\n") == 3
+
+
+def test_a_controller_that_accepts_and_does_not_move_has_no_zero(stage: SerialStage, gsc: Gsc) -> None:
+    gsc.override = {b"H:": b"OK\r\n", b"G:": b"OK\r\n"}
+    with pytest.raises(MotionFailed, match=r"-0\.5000 mm from its target"):
+        stage.home()
+    assert stage.state().position is None
+    # Its motor turns, but it does not home.
+    gsc.override = {b"H:": b"OK\r\n"}
+    with pytest.raises(MotionFailed, match="at 500 counts, not at 0"):
+        stage.home()
     assert stage.state().position is None
 
 

@@ -128,6 +128,27 @@ def test_the_position_is_estimated_on_the_way(stage: SerialStage) -> None:
         stage.zero(0.0, confirmed_by="Ada")
 
 
+def test_what_an_earlier_program_may_have_begun_is_waited_for(
+    peer: Peer, stage_on: Build, quick: Callable[[str], str]
+) -> None:
+    facts = FACTS | {"limits_mm": (-4.0, 6.0), "moving_at_open_s": None}
+    stage = stage_on(peer, quick("gcd-0301m"), **facts)
+    # 10 mm at 20 mm/s, and the ramp.
+    assert stage.state().condition == StageCondition.MOVING
+    answer = stage.stop()
+    assert not answer.stopped
+    assert 0.3 < answer.ends_in_s <= 0.6
+    with pytest.raises(Refused, match="nobody can ask"):
+        stage.zero(0.0, confirmed_by="Ada")
+    time.sleep(answer.ends_in_s)
+    assert stage.state().condition == StageCondition.NO_ZERO
+    stage.zero(0.0, confirmed_by="Ada")
+    # What this program began itself is known.
+    stage.close()
+    stage.open()
+    assert stage.stop() == StopAnswer(stopped=True)
+
+
 def test_a_time_out_is_not_done(stage: SerialStage) -> None:
     stage.zero(0.0, confirmed_by="Ada")
     stage.move_to(20.0)

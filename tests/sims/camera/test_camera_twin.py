@@ -360,6 +360,12 @@ def test_unplugging_ends_the_acquisition_and_loses_the_settings(bench: Bench) ->
     assert bench.get("Gain") == 0
 
 
+def test_a_plug_that_is_in_cannot_be_put_in(bench: Bench) -> None:
+    bench.set("Gain", 3)
+    bench.camera.faults.replug()
+    assert bench.get("Gain") == 3
+
+
 @pytest.mark.parametrize("wrong", [np.zeros((4, 4), np.uint8), np.zeros((48, 64), np.uint16), None])
 def test_a_world_that_fails_loses_frames_not_the_camera(
     make: Callable[..., Bench], wrong: object, caplog: pytest.LogCaptureFixture

@@ -34,7 +34,7 @@ GRACE_S = 5
 BACKLOG = 128
 CONNECTIONS = 256
 
-Ready = Callable[[str], None]
+Told = Callable[[str, str | None], None]
 _CANNOT_START = (AcquisitionError, StoreError, OSError)
 
 _log = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ class Server(uvicorn.Server):
         await asyncio.gather(super().shutdown(sockets), asyncio.to_thread(self._close))
 
 
-def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = None) -> None:
+def serve(rig: str | Path, *, port: int | None = None, tell: Told | None = None) -> None:
     """Open a rig and serve it until SIGTERM or SIGINT; then LEDs are off and stages stopped.
 
     A rig file that is wrong, a world that does not start or a store that cannot be used do not end the process: the
@@ -129,8 +129,8 @@ def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = 
         Rig file, or the name of a shipped one.
     port
         Where to listen instead of what the rig file says; 0: a free one.
-    on_ready
-        Called with the address once requests are answered.
+    tell
+        Called once requests are answered: with the address, and what is wrong where the rig could not be started.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = 
     OSError
         Somebody else listens there.
     """
-    process = _Process(on_ready)
+    process = _Process(tell)
     with process.signals():
         configure(lambda: None)
         try:
@@ -157,8 +157,8 @@ def serve(rig: str | Path, *, port: int | None = None, on_ready: Ready | None = 
 class _Process:
     """What there is one of: signals, the service manager, and the server that runs."""
 
-    def __init__(self, on_ready: Ready | None) -> None:
-        self._on_ready = on_ready
+    def __init__(self, tell: Told | None) -> None:
+        self._tell = tell
         self._notifier = Notifier()
         self._server: Server | None = None
         self._ends = False
@@ -193,23 +193,24 @@ class _Process:
     def answer_broken(self, error: Exception, service: Service, line: socket.socket) -> None:
         """Serve what is wrong."""
         problems: tuple[Problem, ...] = error.problems if isinstance(error, DocumentError) else ()
-        for text in [str(problem) for problem in problems] or [str(error)]:
+        lines = [str(problem) for problem in problems] or [str(error)]
+        for text in lines:
             _log.error("the rig cannot be started: %s", text)
-        self._run(Server(Broken(str(error), problems, _settings(service, "")), line, self._notifier))
+        self._run(Server(Broken(str(error), problems, _settings(service, "")), line, self._notifier), lines[0])
 
-    def _run(self, server: Server) -> None:
+    def _run(self, server: Server, wrong: str | None = None) -> None:
         self._server = server
         try:
-            asyncio.run(self._work(server))
+            asyncio.run(self._work(server, wrong))
         finally:
             self._server = None
 
-    async def _work(self, server: Server) -> None:
+    async def _work(self, server: Server, wrong: str | None) -> None:
         serving = asyncio.create_task(server.serve())
         while not server.started and not serving.done():
             await asyncio.sleep(0.01)
-        if server.started and self._on_ready is not None:
-            self._on_ready(server.url)
+        if server.started and self._tell is not None:
+            self._tell(server.url, wrong)
         await serving
 
     @contextmanager
