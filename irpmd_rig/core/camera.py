@@ -66,8 +66,26 @@ def rays(intrinsics: Intrinsics) -> NDArray[np.float64]:
     """
     width, height = intrinsics.size_px
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-    normalised = cv2.undistortPoints(pixels, intrinsics.matrix, np.array(intrinsics.distortion), criteria=_UNDISTORTION)
-    directions = np.ones((height, width, 3))
-    directions[..., :2] = normalised.reshape(height, width, 2)
+    return rays_at(intrinsics, np.stack([columns, rows], axis=-1))
+
+
+def rays_at(intrinsics: Intrinsics, pixels: NDArray[np.floating | np.integer]) -> NDArray[np.float64]:
+    """Undistorted viewing directions of some places in the picture.
+
+    Parameters
+    ----------
+    intrinsics : Intrinsics
+        The camera.
+    pixels : ndarray, (..., 2)
+        Column and row, px.
+
+    Returns
+    -------
+    ndarray of float64, (..., 3)
+        As `rays`.
+    """
+    places = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+    normalised = cv2.undistortPoints(places, intrinsics.matrix, np.array(intrinsics.distortion), criteria=_UNDISTORTION)
+    directions = np.ones((*np.shape(pixels)[:-1], 3))
+    directions[..., :2] = normalised.reshape(*np.shape(pixels)[:-1], 2)
     return directions

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from irpmd_rig.core.errors import CalibrationError
 
@@ -16,7 +17,8 @@ _CLIP_ROUNDS = 3
 # beyond the ripple that a projector's rounded grey levels leave (16 projector columns, about 30 camera pixels).
 _BLOCKS_PX = (4, 8, 16, 32, 48, 96)
 _FEWEST_BLOCKS = 12
-_CHANCE_SIGMAS = 2.5
+# Chance alone makes such an excess once in so many tests; every fit makes some six of them.
+_CHANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,7 @@ def fit_plane(
     q = _least_squares(design[keep], inverse[keep])
     residual = inverse[keep] - design[keep] @ q
     variance = float(residual @ residual) / max(residual.size - 3, 1)
-    inflation = _correlation_inflation(rows[keep], columns[keep], residual)
+    inflation = correlation_inflation(rows[keep], columns[keep], residual)
     covariance = np.asarray(variance * inflation * np.linalg.inv(design[keep].T @ design[keep]), dtype=np.float64)
     depth = 1.0 / inverse[keep]
     return Plane(q, covariance, float(np.sqrt(np.mean((residual * depth**2) ** 2))), int(residual.size))
@@ -117,7 +119,7 @@ def _least_squares(design: NDArray[np.float64], values: NDArray[np.float64]) -> 
     return np.asarray(np.linalg.solve(triangle, orthogonal.T @ values))
 
 
-def _correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], residual: NDArray[np.float64]) -> float:
+def correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], residual: NDArray[np.float64]) -> float:
     """Factor by which the variance of block means exceeds that of independent residuals (at least 1).
 
     The block at which it is largest counts: correlation over a few pixels shows in small blocks, ripple in large
@@ -135,6 +137,6 @@ def _correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], re
         means = np.bincount(member, weights=residual) / size
         # The plane has taken three degrees of freedom from the block means.
         excess = float((means[full] ** 2 * size[full]).sum() / (count - 3) / variance)
-        if excess > 1 + _CHANCE_SIGMAS * np.sqrt(2 / count):
+        if excess > stats.chi2.isf(_CHANCE, count - 3) / (count - 3):
             factor = max(factor, excess)
     return factor

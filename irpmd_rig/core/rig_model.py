@@ -11,6 +11,7 @@ from irpmd_rig.core.camera import Intrinsics, rays
 from irpmd_rig.core.frame import ReferenceFrame
 
 Array = NDArray[np.float64]
+_BOW_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,20 @@ class RigModel:
         a, b, c = self.glass
         plane = a * x_mm + b * y_mm + c
         return plane if self.bow_mm is None else plane + self.bow_mm(x_mm, y_mm)
+
+    def meet_glass(self, points_mm: Array, directions: Array) -> Array:
+        """Where lines meet the glass: points (..., 3) of M at s = 0, from points that stand still and directions."""
+        a, b, c = self.glass
+        x, y, z = (points_mm[..., axis] for axis in range(3))
+        gap = c + a * x + b * y - z
+        closing = directions[..., 2] - a * directions[..., 0] - b * directions[..., 1]
+        met = points_mm + (gap / closing)[..., None] * directions
+        if self.bow_mm is not None:
+            # The bow's slope is far below 1e-2: every round gains that factor.
+            for _ in range(_BOW_ROUNDS):
+                bowed = gap + self.bow_mm(met[..., 0], met[..., 1])
+                met = points_mm + (bowed / closing)[..., None] * directions
+        return np.asarray(met)
 
     def phase_rad(self, points_mm: Array, *, on_glass: bool) -> Array:
         """Absolute phase along x that the projector gives points (..., 3) of M at s = 0.

@@ -35,11 +35,14 @@ class Facets:
         Number of facets.
     noise_mm : float
         Noise of a pixel of the depth map, estimated from the map.
+    too_small : tuple of int
+        Pixels of each smooth patch that is no facet because erosion leaves too few of them.
     """
 
     labels: NDArray[np.int32]
     count: int
     noise_mm: float
+    too_small: tuple[int, ...] = ()
 
     def mask(self, facet: int) -> NDArray[np.bool_]:
         """Pixels of facet 1..count."""
@@ -104,7 +107,7 @@ def find_facets(
     inside = _find(depth_mm[window], known[window], erosion_px, min_pixels)
     labels = np.zeros(depth_mm.shape, dtype=np.int32)
     labels[window] = inside.labels
-    return Facets(labels, inside.count, inside.noise_mm)
+    return Facets(labels, inside.count, inside.noise_mm, inside.too_small)
 
 
 def _find(depth_mm: NDArray[np.floating], known: NDArray[np.bool_], erosion_px: int, min_pixels: int | None) -> Facets:
@@ -115,8 +118,8 @@ def _find(depth_mm: NDArray[np.floating], known: NDArray[np.bool_], erosion_px: 
     edge = _typical_limit(change[whole]) + rounding
     labels = _connected(whole & (change <= edge))
     labels[~known | (np.abs(depth_mm - smooth) > max(_OUTLIER_SIGMAS * noise, edge))] = 0
-    labels = _eroded(labels, erosion_px) * (labels > 0)
-    return _numbered(labels, depth_mm, noise, min_pixels)
+    inner = _eroded(labels, erosion_px) * (labels > 0)
+    return _numbered(inner, np.bincount(labels.ravel()), depth_mm, noise, min_pixels)
 
 
 def pixel_noise_mm(depth_mm: NDArray[np.floating], known: NDArray[np.bool_]) -> float:
@@ -179,11 +182,12 @@ def _eroded(labels: NDArray[np.int32], pixels: int) -> NDArray[np.int32]:
 
 def _numbered(
     labels: NDArray[np.int32],
+    before: NDArray[np.intp],
     depth_mm: NDArray[np.floating],
     noise_mm: float,
     min_pixels: int | None,
 ) -> Facets:
-    sizes = np.bincount(labels.ravel())
+    sizes = np.bincount(labels.ravel(), minlength=len(before))
     sizes[0] = 0
     fewest = max(_FEWEST_PIXELS, int(_DEBRIS * sizes.max())) if min_pixels is None else min_pixels
     kept = np.nonzero(sizes >= max(fewest, 1))[0]
@@ -196,7 +200,8 @@ def _numbered(
     order = _along_principal_direction(centres, np.asarray(heights))
     renumbered = np.zeros(sizes.size, dtype=np.int32)
     renumbered[kept[order]] = np.arange(1, kept.size + 1)
-    return Facets(renumbered[labels], int(kept.size), noise_mm)
+    lost = np.setdiff1d(np.nonzero(before >= max(fewest, 1))[0], [0, *kept])
+    return Facets(renumbered[labels], int(kept.size), noise_mm, tuple(int(size) for size in before[lost]))
 
 
 def _along_principal_direction(centres: NDArray[np.float64], heights: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -12,10 +12,11 @@ from irpmd_rig.core.evaluation.facets import Facets
 from irpmd_rig.core.frame import ReferenceFrame
 from irpmd_rig.core.planes import fit_plane
 
-# Means over blocks of this side, px, have little of the pixels' noise left: what remains in them is shape. More of it
-# than a pixel's noise, and more than misalignment bends a plane, is another surface.
-_SHAPE_BLOCK_PX = 16
+# A polynomial of this degree over the picture shows whether a surface is curved; what it finds is shape if it is more
+# than misalignment bends a plane, and than noise feigns.
+_SHAPE_DEGREE = 3
 _LEAST_SHAPE_MM = 0.02
+_SHAPE_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,8 @@ class FacetPlane:
     pixels : int
         Pixels used.
     flat : bool
-        Whether no more shape is left than a pixel's noise, or 20 um; if not, the plane does not describe the facet.
+        Whether no more shape is left than 20 um rms, or than noise feigns; if not, the plane does not describe the
+        facet.
     """
 
     facet: int
@@ -112,7 +114,7 @@ def fit_facets(
         height = depth_mm[window].astype(np.float64)
         mask = (facets.labels[window] == facet) & np.isfinite(height)
         try:
-            planes.append(_fit(facet, height, directions, mask, frame.camera_mm, facets.noise_mm))
+            planes.append(_fit(facet, height, directions, mask, frame.camera_mm))
         except CalibrationError as error:
             raise EvaluationError(f"facet {facet}: {error}") from None
     return tuple(planes)
@@ -124,7 +126,6 @@ def _fit(
     directions: NDArray[np.float64],
     mask: NDArray[np.bool_],
     camera_mm: NDArray[np.float64],
-    noise_mm: float,
 ) -> FacetPlane:
     reach = (height_mm - camera_mm[2]) / directions[..., 2]
     plane = fit_plane(directions, reach, mask)
@@ -152,15 +153,16 @@ def _fit(
         mean_height_mm=float(height_mm[mask].mean()),
         rms_mm=rms,
         pixels=plane.pixels,
-        flat=_shape_mm(residual, mask) <= max(noise_mm, _LEAST_SHAPE_MM),
+        flat=_is_flat(residual[mask], mask),
     )
 
 
-def _shape_mm(residual_mm: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
-    """RMS of the block means of a residual."""
+def _is_flat(residual_mm: NDArray[np.float64], mask: NDArray[np.bool_]) -> bool:
+    """Whether the pixels' distances from their plane (in the mask's order) have no shape of their own."""
     rows, columns = np.nonzero(mask)
-    block = (rows // _SHAPE_BLOCK_PX) * 100_003 + columns // _SHAPE_BLOCK_PX
-    _, member, size = np.unique(block, return_inverse=True, return_counts=True)
-    full = size >= 0.5 * size.max()
-    means = np.bincount(member, weights=residual_mm[mask]) / size
-    return float(np.sqrt(np.mean(means[full] ** 2)))
+    x, y = (2 * (at - at.min()) / max(int(np.ptp(at)), 1) - 1 for at in (columns, rows))
+    degrees = range(_SHAPE_DEGREE + 1)
+    design = np.stack([x**i * y**j for i in degrees for j in degrees if i + j <= _SHAPE_DEGREE], axis=1)
+    shape = design @ np.linalg.lstsq(design, residual_mm, rcond=None)[0]
+    noise2 = float(np.mean((residual_mm - shape) ** 2)) * (design.shape[1] - 3) / len(shape)
+    return bool(float(np.mean(shape**2)) <= _LEAST_SHAPE_MM**2 + _SHAPE_SIGMAS**2 * noise2)

@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+_BAND_ROWS = 32
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
@@ -71,12 +73,24 @@ class AbsolutePhase:
         the noise-weighted mean of the optimum method. Random noise only: neither gamma nor the
         rounding of the projected pattern is in it.
         """
+        return self.sigma_in((slice(None), slice(None)))
+
+    def sigma_in(self, window: tuple[slice, slice]) -> npt.NDArray[np.float32]:
+        """Return `sigma_rad` in a window of rows and columns alone, (h, w)."""
         weight = 1.0
         if self.unwrapping == "optimum":
             weight = sum((count / max(self.counts)) ** 2 for count in self.counts)
         scale = np.float32(np.sqrt(2 / self.steps / weight))
-        modulation = np.where(self.valid, self.modulation_dn, np.float32(np.nan))
-        return np.asarray(scale * np.sqrt(self.noise.variance_dn2(modulation)) / modulation)
+        modulation, valid = self.modulation_dn[window], self.valid[window]
+        sigma = np.full(valid.shape, np.nan, np.float32)
+        # In bands, whose intermediate results stay in the cache.
+        for first in range(0, len(sigma), _BAND_ROWS):
+            rows = slice(first, first + _BAND_ROWS)
+            variance = self.noise.variance_dn2(modulation[rows])
+            deviation = np.sqrt(variance, out=variance)
+            deviation *= scale
+            np.divide(deviation, modulation[rows], out=sigma[rows], where=valid[rows])
+        return sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -76,6 +76,17 @@ def test_curved_mirrors_are_facets_too():
     assert find_facets(depth).count == 2
 
 
+def test_patches_that_erosion_leaves_too_few_pixels_of_are_counted():
+    depth, truth = stepped_depth((5.0,), along="y", noise_mm=0.05)
+    rows = np.nonzero((truth == 1).any(axis=1))[0]
+    strip = np.zeros(depth.shape, bool)
+    strip[rows[:12]] = True
+    facets = find_facets(depth, (truth == 0) | (strip & (truth == 1)), erosion_px=5)
+    assert facets.count == 1
+    assert len(facets.too_small) == 1
+    assert facets.too_small[0] > 500
+
+
 def test_the_mask_is_obeyed():
     depth, truth = stepped_depth(noise_mm=0.05)
     facets = find_facets(depth, truth >= 3)
