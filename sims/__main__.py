@@ -11,6 +11,7 @@ import typer
 
 from sims.bench import bench_render
 from sims.errors import SimulationError, WorldError
+from sims.process.frames_command import write_frames
 from sims.process.instruments import Conditions, Dialect
 from sims.process.lone_camera import serve_camera
 from sims.process.serve import Options, chosen_world, serve
@@ -86,6 +87,19 @@ def truth(
     """Write what a measurement of an object should find: points, facets, steps, distances."""
     with _complaining():
         write_truth(chosen_world(world, seed, size_px), name, out)
+
+
+@app.command()
+def frames(
+    world: Annotated[Path, typer.Argument(help="World file.")],
+    request: Annotated[Path, typer.Argument(help="Stations, pictures and exposures (JSON).")],
+    out: Annotated[Path, typer.Option(help="Folder of the frames; made if need be.")],
+    seed: Annotated[int | None, typer.Option(help="Another seed than the world's.")] = None,
+    size_px: Annotated[int | None, typer.Option(help="Columns of the camera.")] = None,
+) -> None:
+    """Render the frames of a run without instruments: a .npy a station and an index."""
+    with _complaining():
+        write_frames(chosen_world(world, seed, size_px), request, out)
 
 
 @app.command()

@@ -121,7 +121,7 @@ def light_map(world: "World", setup: Setup) -> LightMap:
 def scene_of(world: "World", setup: Setup) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Pack the whole geometry for the kernels, in frame M: one record of the scene, and the patches."""
     camera, glass, board = world.camera, world.glass, world.board
-    moved = setup.stage1_mm * stage1_axis(world.stage1)
+    moved, turned = setup.stage1_mm * stage1_axis(world.stage1), setup.glass_turn_deg
     projector_position, projector_axes = projector_frame(world.projector)
     scene = np.zeros(1, SCENE)
     values = {
@@ -129,7 +129,7 @@ def scene_of(world: "World", setup: Setup) -> tuple[NDArray[np.void], NDArray[np
         "camera_axes": attitude(camera.axis, camera.roll_deg),
         "glass_present": setup.glass,
         "glass_centre": np.array(glass.centre_mm) - moved,
-        "glass_axes": turn(glass.tilt_about_x_deg, glass.tilt_about_y_deg).T,
+        "glass_axes": turn(glass.tilt_about_x_deg + turned[0], glass.tilt_about_y_deg + turned[1]).T,
         "glass_half": np.array(glass.size_mm) / 2,
         "glass_bow": glass.bow_um * 1e-3,
         "transmission": glass.transmission,

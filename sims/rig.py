@@ -11,7 +11,7 @@ from sims.errors import SimulationError
 from sims.maps import LightMaps
 from sims.optics import LightMap, Trace, trace
 from sims.render import exposure, projected_light, render
-from sims.setup import Setup
+from sims.setup import Setup, turned_glass
 from sims.surfaces import SUBJECTS
 
 if TYPE_CHECKING:
@@ -91,6 +91,16 @@ class SimulatedRig:
     def set_glass(self, present: bool) -> None:
         """Put the ground glass in or take it away."""
         self._change(glass=bool(present))
+
+    def turn_glass(self, about_x_deg: float, about_y_deg: float) -> None:
+        """Turn the ground glass by its screws, from where it is (right-handed, about its centre).
+
+        Raises
+        ------
+        SimulationError
+            It would lean by more than its screws allow.
+        """
+        self._change(glass_turn_deg=turned_glass(self._setup.glass_turn_deg, about_x_deg, about_y_deg))
 
     def move_stage1(self, position_mm: float) -> None:
         """Move camera, mirror and object; positive is away from the glass. The stage's errors are added.

@@ -16,6 +16,7 @@ from irpmd_rig.acquisition.queue import RunQueue
 from irpmd_rig.acquisition.rig_file import RigFile
 from irpmd_rig.acquisition.runs import Run
 from irpmd_rig.acquisition.status import RunStatus
+from irpmd_rig.processing.whole import withdraw_partial
 from irpmd_rig.recipes.document import DocumentError
 from irpmd_rig.store.errors import RunFolderError, StoreError
 from irpmd_rig.store.run_folder import RunFolder
@@ -93,6 +94,8 @@ class RunBook:
                     self.live(folder.id)
                 return False
             found = folder.reconcile()
+            # What was being computed when the daemon was killed is no result.
+            withdraw_partial(folder.results)
             what = f"the daemon ended while the run was {last.state}; {found.frames} frames are good"
             after = replace(
                 last,

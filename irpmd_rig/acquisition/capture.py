@@ -24,7 +24,7 @@ from irpmd_rig.acquisition.captured import (
 )
 from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.exposure import brightness, measure_exposure_us
-from irpmd_rig.acquisition.patterns import BLACK, WHITE, Orientation
+from irpmd_rig.acquisition.patterns import BLACK, WHITE, Orientation, PatternDeck
 from irpmd_rig.acquisition.shooting import Shooter
 from irpmd_rig.core import check_frames
 
@@ -41,6 +41,8 @@ __all__ = [
 _log = logging.getLogger(__name__)
 
 _WATCH_S = 0.02
+# A black picture is on display by then, whatever the display.
+SWITCHED_REST_S = 0.5
 
 
 class Photographer:
@@ -143,6 +145,28 @@ class Photographer:
         """One frame without the projector: dark, LED off."""
         frame, attempt = self._shooter.take_dark()
         return self._captured(frame, "plain", attempt)
+
+    def switched(self, delay_s: float) -> CapturedFrame:
+        """One frame a time after the order to go from black to white; `checks` tells the time that it really was."""
+        frame, after_s, attempt = self._shooter.take_switched((BLACK, WHITE), SWITCHED_REST_S, delay_s)
+        return replace(self._captured(frame, "switched", attempt), checks={"after_s": after_s})
+
+    def series(self, counts: tuple[float, ...], steps: int, frames: int, since_s: float) -> tuple[CapturedFrame, ...]:
+        """Frames of the first of some fringes, one after the other, as fast as they come.
+
+        `checks` tells the middle of each exposure, in seconds since `since_s` of `time.monotonic`. Prepare them
+        before (`prepare_series`), and nothing is in between.
+        """
+        taken, attempt = self._shooter.take(_first_only(counts, steps, frames), lambda _, frame: frame)
+        half_s = 0.5e-6 * self._shooter.exposure_us
+        return tuple(
+            replace(self._captured(frame, "series", attempt), checks={"after_s": arrived_s - half_s - since_s})
+            for frame, arrived_s in zip(taken, _arrivals_s(taken), strict=True)
+        )
+
+    def prepare_series(self, counts: tuple[float, ...], steps: int, frames: int) -> None:
+        """Load, order and arm for a series."""
+        self._shooter.prepare(_first_only(counts, steps, frames))
 
     def dark(self) -> None:
         """Show nothing, the LED off."""
@@ -284,6 +308,20 @@ class Photographer:
         if name not in self._rig.stages:
             raise AcquisitionError(f"the rig has no {name}", f"it has {', '.join(self._rig.stages) or 'no stage'}")
         return self._rig.stages[name]
+
+
+def _first_only(counts: tuple[float, ...], steps: int, frames: int) -> Callable[[PatternDeck], tuple[int, ...]]:
+    return lambda deck: deck.fringes(counts, steps, "x")[:1] * frames
+
+
+def _arrivals_s(frames: list[Frame]) -> list[float]:
+    """When frames were there, on the computer's clock but spaced by the camera's: the computer may be late."""
+    received_s, stamped_s = [frame.received_s for frame in frames], [frame.timestamp_s for frame in frames]
+    known_s = [stamp_s for stamp_s in stamped_s if stamp_s is not None]
+    if len(known_s) < len(frames):
+        return received_s
+    offset_s = min(late_s - stamp_s for late_s, stamp_s in zip(received_s, known_s, strict=True))
+    return [stamp_s + offset_s for stamp_s in known_s]
 
 
 def _plain(value: Any) -> Any:

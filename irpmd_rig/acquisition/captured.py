@@ -14,7 +14,7 @@ from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.patterns import Orientation
 from irpmd_rig.core.quality import FrameReport
 
-FrameRole = Literal["fringes", "white", "black", "plain"]
+FrameRole = Literal["fringes", "white", "black", "plain", "switched", "series"]
 BurstTrigger = Literal["hardware", "software"]
 Images = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -75,6 +75,8 @@ class CaptureSettings:
         Light of the projector; intensity as a fraction of the LED's full drive.
     pixel_format
         Of the camera.
+    levels
+        256 levels to show fringes by, each in the place of its index (a characterised gamma); None: as they are.
     retries
         How often a burst, a frame or a fringe measurement is taken again before it has failed.
     frame_timeout_s
@@ -86,6 +88,7 @@ class CaptureSettings:
     led: Led = Led.INFRARED
     intensity: float = 0.6
     pixel_format: str = "Mono8"
+    levels: bytes | None = None
     retries: int = 2
     frame_timeout_s: float = 5.0
     sync: SyncOutput = field(default_factory=lambda: SyncOutput(enabled=True))
@@ -100,7 +103,8 @@ class CapturedFrame:
     frame
         The camera's.
     role
-        What was shown: fringes, white, black, or nothing ("plain").
+        What was shown: fringes, white, black, nothing ("plain"), white a time after black ("switched"), one
+        picture for many frames ("series").
     exposure_us, led, intensity
         As they were in force; led None: no light of the projector.
     attempt

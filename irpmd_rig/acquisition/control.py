@@ -40,6 +40,16 @@ class WorldControl:
             return False
         return True
 
+    def has_ended(self) -> bool:
+        """Whether nobody listens there any more; a world that is only slow has not ended."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            connection.settimeout(self._timeout_s)
+            try:
+                connection.connect(str(self.folder / SOCKET))
+            except OSError as error:
+                return isinstance(error, ConnectionRefusedError | FileNotFoundError)
+        return False
+
     def call(self, call: str, /, **arguments: Any) -> dict[str, Any]:
         """Ask for one thing and return the reply.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Literal
 
@@ -33,7 +34,8 @@ from irpmd_rig.acquisition.steering import END_LIMIT_S, Action, Wish, steer
 from irpmd_rig.acquisition.watch import Seen, Watch
 from irpmd_rig.processing import Worker
 from irpmd_rig.store.errors import DiskFull
-from irpmd_rig.store.library import Library, LibraryItem
+from irpmd_rig.store.library import REFERENCE, Library, LibraryItem
+from irpmd_rig.store.record import CALIBRATIONS
 from irpmd_rig.store.states import Reason, RunState
 from irpmd_rig.store.store import Store
 
@@ -347,9 +349,9 @@ class RigDaemon:
         """References that measurements may use, newest first."""
         return self._library.references()
 
-    def activate(self, run_id: str) -> LibraryItem:
-        """Let recipes that say `active` get this one; raises RunNotFound or NotUsable."""
-        return self._library.activate(run_id)
+    def activate(self, run_id: str, kinds: Collection[str] = (*CALIBRATIONS, REFERENCE)) -> LibraryItem:
+        """Let recipes that say `active` get this one, of one of these kinds; raises RunNotFound or NotUsable."""
+        return self._library.activate(run_id, kinds)
 
     # --- inside
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.interlocks import record_of
+from irpmd_rig.acquisition.named_runs import unusable
 from irpmd_rig.acquisition.rig_file import RigFile
 from irpmd_rig.acquisition.status import Validation
 from irpmd_rig.processing.chain import check_uses
 from irpmd_rig.processing.errors import ProcessingError
 from irpmd_rig.recipes.check import check
-from irpmd_rig.recipes.document import DocumentError, Problem
+from irpmd_rig.recipes.document import DocumentError, Problem, problem_at
 from irpmd_rig.recipes.equipment import Equipment
 from irpmd_rig.recipes.estimate import Estimate, estimate
 from irpmd_rig.recipes.models import Recipe
@@ -49,7 +50,7 @@ class Order:
     text
         As given.
     problems
-        What this rig cannot do of it; empty if it can do all.
+        What this rig cannot do of it, and which runs it names that cannot serve; empty if it may run.
     """
 
     text: str
@@ -114,7 +115,9 @@ class Intake:
         equipment = self._equipment()
         laid_out = plan(recipe)
         takes = estimate(recipe, laid_out, equipment, self._positions())
-        return Order(given.text, recipe, laid_out, takes, check(recipe, laid_out, equipment, document))
+        named = unusable(record_of(recipe, self._rig_file()), self._store)
+        problems = (*check(recipe, laid_out, equipment, document), *(problem_at(document, *found) for found in named))
+        return Order(given.text, recipe, laid_out, takes, problems)
 
     def validate(self, given: RecipeText) -> Validation:
         """Tell everything that is wrong with a recipe, and what it would take."""

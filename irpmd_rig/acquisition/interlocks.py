@@ -11,7 +11,7 @@ from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.patterns import longest_exposure_us
 from irpmd_rig.acquisition.rig import DeviceCondition, Rig
 from irpmd_rig.acquisition.rig_file import RigFile
-from irpmd_rig.processing.chain import NEEDS, check_uses
+from irpmd_rig.processing.chain import check_uses, needs_of
 from irpmd_rig.recipes.equipment import Axis, Equipment
 from irpmd_rig.recipes.estimate import targets
 from irpmd_rig.recipes.models import Recipe
@@ -138,7 +138,7 @@ def rig_reasons(rig: Rig, needed: frozenset[str], without_zero: Iterable[str]) -
 
 def record_of(recipe: Recipe, rig_file: RigFile) -> RunRecord:
     """Write down what a run is to be, as `run.yaml` has it."""
-    needs = NEEDS[recipe.kind]
+    needs = needs_of(recipe.kind, getattr(recipe, "what", None))
     uses: dict[Kind, str] = {}
     calibration, reference = getattr(recipe, "calibration", None), getattr(recipe, "reference", None)
     if needs and calibration is not None:
@@ -191,7 +191,10 @@ def settle_uses(rig: Rig, folder: RunFolder, library: Library) -> None:
     """
     capabilities = rig.camera.capabilities()
     optics = Optics(camera_serial=capabilities.serial_number, size_px=capabilities.sensor_size_px)
-    record = folder.record().model_copy(update={"optics": optics, "rig": rig_part(rig.file)})
+    part = rig_part(rig.file)
+    # The fringes are known by it: what their rounding does to the phase is computed.
+    part["projector"] |= {"size_px": list(rig.projector.capabilities().size_px)}
+    record = folder.record().model_copy(update={"optics": optics, "rig": part})
     uses = check_uses(record, library)
     optics = optics.model_copy(update={"intrinsics": uses.get("calibrate-camera")})
     folder.amend(optics=optics, rig=record.rig, uses=uses)

@@ -32,6 +32,8 @@ class PatternDeck:
     ----------
     projector
         An opened projector.
+    levels
+        256 levels to show fringes by, each in the place of its index; None: as they are.
 
     Raises
     ------
@@ -39,7 +41,7 @@ class PatternDeck:
         It takes no patterns.
     """
 
-    def __init__(self, projector: Projector) -> None:
+    def __init__(self, projector: Projector, levels: bytes | None = None) -> None:
         self._projector = projector
         capabilities = projector.capabilities()
         if not capabilities.can_load:
@@ -49,6 +51,7 @@ class PatternDeck:
             )
         self._size_px = capabilities.size_px
         self._limit = capabilities.pattern_limit
+        self._levels = None if levels is None else np.frombuffer(levels, np.uint8)
         self._groups: dict[Fringes, int] = {}
         self._loaded = False
 
@@ -106,6 +109,7 @@ class PatternDeck:
         ]
         for counts, steps, orientation in self._groups:
             made = fringe_images(counts, steps, self._size_px, axis=orientation)
+            made = made if self._levels is None else self._levels[made]
             images.append(made.reshape(-1, height, width))
         self._projector.load(np.concatenate(images))
         self._loaded = True

@@ -246,6 +246,13 @@ class Rig:
 
     def refresh(self) -> dict[str, DeviceState]:
         """Ask every instrument that was opened whether it is there; not for use while one is working."""
+        operator = self._operator
+        if operator is not None and operator.control.has_ended():
+            # Whatever its instruments say of cables and plugs.
+            for name in self._file.devices:
+                gone = NotConnected(name, "the simulated world has ended", "wait: it is looked for, or started, again")
+                self._set(name, DeviceCondition.MISSING, gone)
+            return self.devices
         with self._lock:
             opened = dict(self._instruments)
         self._each(self._ask, opened)

@@ -124,9 +124,18 @@ class Service(Settings):
 
 
 class CalibrationLimits(Settings):
-    """How old a calibration may be, in days, to be used; None: as old as it is."""
+    """What calibrations are taken for.
+
+    Attributes
+    ----------
+    max_age_days
+        How old one may be to be used; None: as old as it is.
+    blur_px
+        RMS width of the blur in the camera's pictures: curved mirrors are corrected for it.
+    """
 
     max_age_days: Annotated[float, Field(gt=0)] | None = None
+    blur_px: Annotated[float, Field(ge=0, le=10)] = 0.7
 
 
 class _Entry(BaseModel):

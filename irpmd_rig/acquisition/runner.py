@@ -17,10 +17,12 @@ from irpmd_rig.acquisition.hands import Hands, Zeros
 from irpmd_rig.acquisition.interlocks import axes_of, check_start, has_zero, settle_uses
 from irpmd_rig.acquisition.queue import RunQueue
 from irpmd_rig.acquisition.rig import Rig
+from irpmd_rig.acquisition.rounds import asked_next
 from irpmd_rig.acquisition.runs import Run, first_incomplete
 from irpmd_rig.acquisition.safety import Safety
 from irpmd_rig.acquisition.sequencer import PROMPT_LIMIT_S, Sequencer, Surroundings
-from irpmd_rig.processing import Progress, Worker
+from irpmd_rig.processing import ProcessedRun, Progress, Worker
+from irpmd_rig.processing.compensation import levels_of
 from irpmd_rig.recipes.document import DocumentError
 from irpmd_rig.recipes.plan import Plan
 from irpmd_rig.store.errors import StoreError
@@ -217,6 +219,9 @@ class Runner:
         run.folder.results.clear()
         first = first_incomplete(run.plan, run.folder.manifest())
         stations = len(run.plan.stations)
+        if run.plan.steered:
+            # What is asked between its rounds may have been done in part: they are taken in one go.
+            first = 0
         if first < stations:
             check_start(place.rig, run.plan)
             place.check_space(run)
@@ -234,6 +239,7 @@ class Runner:
             photographer=lambda: self._photographer(run),
             at_ease=place.hands.at_ease,
             station_done=lambda station: place.worker.decode(run.folder.path, station),
+            decide=lambda: asked_next(self._compute(run)),
             prompt_limit_s=place.prompt_limit_s,
         )
         Sequencer(place.rig, run, surroundings).execute(first)
@@ -265,22 +271,23 @@ class Runner:
         )
 
     def _photographer(self, run: Run) -> Photographer:
-        recipe, file = run.recipe, self._place.rig.file
+        place, recipe, file = self._place, run.recipe, self._place.rig.file
         light = recipe.light
         settings = CaptureSettings(
             led=Led(light.led) if light is not None else file.light.led,
             intensity=light.intensity if light is not None else file.light.intensity,
             pixel_format=recipe.pixel_format,
+            levels=levels_of(place.library, recipe.compensation),
             retries=recipe.retries,
         )
         conduct: Conduct = run.conduct
-        return Photographer(self._place.rig, recipe.trigger or file.trigger, settings, conduct.ended)
+        return Photographer(place.rig, recipe.trigger or file.trigger, settings, conduct.ended)
 
-    def _compute(self, run: Run) -> None:
+    def _compute(self, run: Run) -> ProcessedRun:
         def announce(progress: Progress) -> None:
             run.doing(progress.text)
 
-        self._place.worker.process(run.folder.path, announce)
+        return self._place.worker.process(run.folder.path, announce)
 
 
 def needs_person(plan: Plan, rig: Rig) -> bool:

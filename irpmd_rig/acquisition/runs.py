@@ -36,7 +36,7 @@ def expected_frames(station: Station) -> Counter[FrameKey]:
                 for step in range(shot.steps)
             )
         else:
-            wanted[(shot.label, shot.role, "x", None, None, shot.view)] += 1
+            wanted[(shot.label, shot.role, "x", None, None, shot.view)] += shot.frames
     return wanted
 
 

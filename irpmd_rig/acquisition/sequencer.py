@@ -12,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from drivers.protocols import DeviceLost, Position, Refused
+from irpmd_rig.acquisition.arriving import await_arrival
 from irpmd_rig.acquisition.capture import Photographer
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
@@ -41,6 +42,9 @@ class Surroundings:
         Lets others look through the camera while the run waits for a person.
     station_done
         Told the number of each station whose frames are all on disk.
+    decide
+        Computes what the frames on disk tell, after a station that decides; returns what is asked before the run goes
+        on, None: it need not go on.
     prompt_limit_s
         How long a person is waited for.
     """
@@ -48,6 +52,7 @@ class Surroundings:
     photographer: Callable[[], Photographer]
     at_ease: Callable[[], AbstractContextManager[None]]
     station_done: Callable[[int], None]
+    decide: Callable[[], Prompt | None]
     prompt_limit_s: float = PROMPT_LIMIT_S
 
 
@@ -86,7 +91,7 @@ class Sequencer:
         InstrumentError, AcquisitionError, FramesError, StoreError
             What went wrong with instruments, frames or disk.
         """
-        plan = self._run.plan
+        plan, end = self._run.plan, len(self._run.plan.stations)
         self._run.begin_at(first)
         for station in plan.stations[first:]:
             self._run.conduct.pause_if_wanted(self._paused, self._resumed)
@@ -100,8 +105,14 @@ class Sequencer:
             self._take_station(station)
             self._run.stations_done(station.index + 1)
             self._around.station_done(station.index)
+            if station.decides:
+                wanted = self._around.decide()
+                if wanted is None:
+                    end = station.index + 1
+                    break
+                self._ask(wanted)
         missing = first_incomplete(plan, self._run.folder.manifest())
-        if missing < len(plan.stations):
+        if missing < end:
             what = f"station {missing} is not complete on disk"
             raise RunEnded(Ending(RunState.FAILED, Reason.FRAMES_LOST, f"{what}: retry the run"))
 
@@ -159,8 +170,11 @@ class Sequencer:
 
     def _take_once(self, station: Station) -> None:
         run = self._run
-        self._move(station)
-        run.conduct.sleep(station.wait_s)
+        if not _arriving(station):
+            self._move(station)
+        if station.wait_s:
+            run.doing(f"{station.label}: waits {station.wait_s:g} s")
+            run.conduct.sleep(station.wait_s)
         run.doing(f"{station.label}: exposure")
         if station.shots:
             self._photographer.expose("white" if station.lit else "plain", station.exposure_us)
@@ -169,9 +183,11 @@ class Sequencer:
             wait_until_still(lambda: shoot().frame)
         places = self._places()
         run.doing(f"{station.label}: {station.frames} frames")
-        taken = [self._shoot(shot) for shot in station.shots]
-        self._begin_next(station)
+        taken = [self._arrive(station, shot) if _arriving(station) else self._shoot(shot) for shot in station.shots]
+        following = self._begin_next(station)
         self._keep(station, taken, places)
+        if following is not None:
+            self._prepare(following)
 
     def _move(self, station: Station) -> None:
         for name, target_mm in targets(station).items():
@@ -197,15 +213,25 @@ class Sequencer:
             self._begun.discard(name)
             self._rig.stage(name).wait()
 
-    def _begin_next(self, station: Station) -> None:
-        """Let the stages go on, unless a person is to come near them first."""
+    def _begin_next(self, station: Station) -> Station | None:
+        """Let the stages go on to the next station, unless a person is to come near them first; returns it."""
         following = self._run.plan.stations[station.index + 1 : station.index + 2]
         if not following or following[0].prompt is not None or self._run.conduct.asked is not None:
-            return
+            return None
+        if station.decides or _arriving(following[0]):
+            return None
         for name, target_mm in targets(following[0]).items():
             self._may_move(name, target_mm)
             self._begun.add(name)
             self._photographer.begin_move(name, target_mm)
+        return following[0]
+
+    def _prepare(self, station: Station) -> None:
+        """Load, order and arm for a station while its stage moves, where nothing else is shown there before."""
+        shot = station.shots[0] if station.shots else None
+        if shot is not None and shot.role == "fringes" and station.exposure_us != "auto" and station.settle == "timed":
+            self._photographer.expose(exposure_us=station.exposure_us)
+            self._photographer.prepare_fringes(shot.counts, shot.steps, shot.orientation)
 
     def _places(self) -> dict[str, Any]:
         """Where the stages stand, for the manifest: also those that this plan does not move."""
@@ -220,8 +246,24 @@ class Sequencer:
         self._run.conduct.check()
         if shot.role == "fringes":
             return shot, self._photographer.take_fringes(shot.counts, shot.steps, shot.orientation)
+        if shot.role == "switched":
+            return shot, (self._photographer.switched(shot.delay_s),)
         take = {"white": self._photographer.white, "black": self._photographer.black, "plain": self._photographer.plain}
         return shot, (take[shot.role](),)
+
+    def _arrive(self, station: Station, shot: Shot) -> tuple[Shot, Sequence[CapturedFrame]]:
+        """Take a series from the moment at which the stage's motion ends; then wait until it has settled."""
+        photographer = self._photographer
+        photographer.prepare_series(shot.counts, shot.steps, shot.repeats)
+        since_s = time.monotonic()
+        for name, target_mm in targets(station).items():
+            self._finish_move(name)
+            self._may_move(name, target_mm)
+            photographer.begin_move(name, target_mm)
+            since_s = await_arrival(self._rig.stage(name), target_mm, self._run.conduct)
+        frames = photographer.series(shot.counts, shot.steps, shot.repeats, since_s)
+        self._move(station)
+        return shot, frames
 
     # --- frames
 
@@ -266,6 +308,11 @@ class Sequencer:
             attempt=self._run.attempt,
             **places,
         )
+
+
+def _arriving(station: Station) -> bool:
+    """Whether its frames are taken while the stage comes to rest."""
+    return any(shot.role == "series" for shot in station.shots)
 
 
 def _as_json(value: Any) -> Any:

@@ -123,7 +123,7 @@ class Shooter:
                 self._rig.projector.stop()
                 if self._trigger == "hardware":
                     self._rig.projector.configure_sync(self._settings.sync)
-                self._deck = PatternDeck(self._rig.projector)
+                self._deck = PatternDeck(self._rig.projector, self._settings.levels)
         return self._deck
 
     # --- frames
@@ -179,6 +179,39 @@ class Shooter:
             return self._fetch(0)
 
         return self._attempts("a frame", attempt)
+
+    def take_switched(self, order: tuple[int, int], rest_s: float, delay_s: float) -> tuple[Frame, float, int]:
+        """One frame `delay_s` after the order to go from one pattern, shown for `rest_s`, to another.
+
+        Returns it, the time that it really was (longer where the projector does not return sooner), and the number of
+        attempts.
+        """
+
+        def attempt() -> tuple[Frame, float]:
+            self._shown(lambda deck: deck.plain(order[0]))
+            self._configure("software")
+            self._ordered = None
+            self._order(order)
+            self._rig.camera.arm(1)
+            self._armed = None
+            self._rig.projector.step()
+            self._pause(rest_s)
+            ordered_s = time.monotonic()
+            self._rig.projector.step()
+            self._pause(delay_s - (time.monotonic() - ordered_s))
+            after_s = time.monotonic() - ordered_s
+            self._rig.camera.trigger()
+            frame = self._fetch(0)
+            # Past the last: dark.
+            self._rig.projector.step()
+            return frame, after_s
+
+        (frame, after_s), number = self._attempts("a frame", attempt)
+        return frame, after_s, number
+
+    def _pause(self, duration_s: float) -> None:
+        if duration_s > 0.0 and self._cancelled.wait(duration_s):
+            self.look()
 
     def darken(self) -> None:
         """Show nothing, the LED off."""

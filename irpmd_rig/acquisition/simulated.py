@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 START_LIMIT_S = 120.0
 END_LIMIT_S = 6.0
 OPERATOR = "simulated operator"
+PRIVATE_PREFIX = "irpmd-world-"
 
 
 def runtime_folder() -> Path:
@@ -128,7 +129,7 @@ class SimulatedOperator:
         self.board_poses: int = hello["board"]["poses"]
 
     def arrange(self, scene: Scene) -> None:
-        """Place what a scene asks for: the thing to look at, the ground glass, the lamp.
+        """Place what a scene asks for: the thing to look at, the ground glass (turned as told), the lamp.
 
         Raises
         ------
@@ -137,6 +138,8 @@ class SimulatedOperator:
         """
         self.control.call("place", subject=scene.subject, pose=scene.pose)
         self.control.call("glass", present=scene.glass)
+        if scene.turn_deg is not None:
+            self.control.call("turn_glass", about_x_deg=scene.turn_deg[0], about_y_deg=scene.turn_deg[1])
         self.control.call("lamp", on=scene.lamp)
 
     def read_scale(self, stage: str) -> float:
@@ -185,7 +188,7 @@ def attach(rig_file: RigFile) -> tuple[RigFile, SimulatedOperator]:
         child = _Child(rig_file.world, rig_file.simulation)
         control = child.control
     try:
-        return _filled(rig_file, control.hello()), SimulatedOperator(control, child)
+        return _filled(rig_file, control.hello(), is_new=child is not None), SimulatedOperator(control, child)
     except BaseException:
         if child is not None:
             child.end()
@@ -232,11 +235,22 @@ def _differences(world: Path, simulation: Simulation, hello: Mapping[str, Any]) 
     ]
 
 
+def clear_stale_worlds() -> None:
+    """Remove what worlds left whose programs were killed: nobody listens there, and none is about to."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{PRIVATE_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            told = folder.lstat()
+            is_old = time.time() - told.st_mtime > START_LIMIT_S
+            if told.st_uid == os.getuid() and is_old and WorldControl(folder).has_ended():
+                shutil.rmtree(folder, ignore_errors=True)
+
+
 class _Child:
     """A world that was started for one rig: it lives as long as the pipe to its standard input."""
 
     def __init__(self, world: Path, simulation: Simulation) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="irpmd-rig-"))
+        clear_stale_worlds()
+        self._folder = Path(tempfile.mkdtemp(prefix=PRIVATE_PREFIX))
         # Without a name: nothing of it stays, however this process ends.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         self.control = WorldControl(self._folder)
@@ -310,6 +324,7 @@ class _Known:
     """What a running world tells about its instruments."""
 
     hello: Mapping[str, Any]
+    is_new: bool
 
     def of(self, device: Device) -> dict[str, Any]:
         """Settings of a device that the world knows and that its driver takes."""
@@ -335,11 +350,13 @@ class _Known:
             "counts_per_mm": float(axis["counts_per_mm"]),
             "home_position_mm": float(axis["home_position_mm"]),
             "sign": int(axis["sign"]),
+            # Nothing has moved yet in a world that was just started.
+            **({"moving_at_open_s": 0.0} if self.is_new else {}),
         }
 
 
-def _filled(rig_file: RigFile, hello: Mapping[str, Any]) -> RigFile:
-    known = _Known(hello)
+def _filled(rig_file: RigFile, hello: Mapping[str, Any], *, is_new: bool) -> RigFile:
+    known = _Known(hello, is_new)
     devices = {name: _filled_device(device, known) for name, device in rig_file.devices.items()}
     drawing, board = hello["drawing"], hello["board"]
     return replace(

@@ -30,7 +30,7 @@ from irpmd_rig.bench.timing import Row
 from irpmd_rig.processing import Worker
 from irpmd_rig.service.app import create_app
 from irpmd_rig.service.notify import Notifier
-from irpmd_rig.service.serve import Server, listen
+from irpmd_rig.service.server import Server, listen
 from irpmd_rig.service.settings import ServiceSettings
 from irpmd_rig.service.token import read_token
 from irpmd_rig.store import Store

@@ -13,6 +13,7 @@ kind: measure
 name: {subject} at 0 and 40 mm
 object: {subject}
 positions_mm: [0, 40]
+compare: [depth-equation]
 """
 
 

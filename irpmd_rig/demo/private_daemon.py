@@ -120,7 +120,7 @@ class PrivateDaemon:
         except queue.Empty:
             raise MeasurementError(f"the daemon was not ready within {START_LIMIT_S:g} s") from None
         if not line.startswith("ready "):
-            raise MeasurementError(f"the daemon does not start: {self._last_words()}")
+            raise MeasurementError(f"the daemon does not start: {_wrong(line) or self._last_words()}")
         return line.removeprefix("ready ").strip()
 
     def _last_words(self) -> str:
@@ -129,6 +129,11 @@ class PrivateDaemon:
         with contextlib.suppress(ValueError, KeyError, TypeError):
             return str(json.loads(last)["event"])
         return last.removeprefix("error: ")
+
+
+def _wrong(line: str) -> str:
+    """What a daemon says that cannot start its rig: `broken URL what`."""
+    return line.split(maxsplit=2)[2].strip() if line.startswith("broken ") else ""
 
 
 def _rig_file(rig: SimulatedRig, folder: Path) -> str:

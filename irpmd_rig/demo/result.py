@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,9 +71,11 @@ class Result:
             "seconds": round(self.seconds, 1),
             "true_steps_mm": self.truth.steps_mm,
             "measured_steps_mm": [step["measured_mm"] for step in self.measured.steps],
+            "method": self.measured.measurement["method"],
             "step_definition": self.measured.measurement["step_definition"],
             "steps": [self._step_json(k, step) for k, step in enumerate(self.measured.steps)],
-            "largest_step_error_um": self._largest_error_um(),
+            "largest_step_error_um": self._largest_error_um(self.measured.steps),
+            "largest_step_error_by_method_um": self._errors_by_method_um(),
             "facets": self.facets,
             "all_facets_found": self.facets == len(self.truth.steps_mm) + 1,
             "depth_rms_um": self.truth.depth_rms_um,
@@ -103,17 +105,24 @@ class Result:
             content |= {"true_mm": true_mm, "error_um": 1e3 * (step["measured_mm"] - true_mm)}
         return content
 
-    def _largest_error_um(self) -> float | None:
-        if not self.compared:
+    def _largest_error_um(self, steps: Sequence[Content]) -> float | None:
+        if not len(self.truth.steps_mm) == len(steps) > 0:
             return None
-        pairs = zip(self.measured.steps, self.truth.steps_mm, strict=True)
+        pairs = zip(steps, self.truth.steps_mm, strict=True)
         return max(1e3 * abs(float(step["measured_mm"]) - true_mm) for step, true_mm in pairs)
+
+    def _errors_by_method_um(self) -> dict[str, float | None]:
+        methods = self.measured.measurement["methods"]
+        return {name: self._largest_error_um(method["steps"]) for name, method in methods.items()}
 
     def print(self, console: Console) -> None:
         """Print the tables for a person."""
         console.print(self._calibration_table())
         if self.measured.steps:
             console.print(self._step_table())
+        for method, error_um in self._errors_by_method_um().items():
+            if error_um is not None:
+                console.print(f"{method}: largest step error {error_um:.1f} um", highlight=False)
         if self.measured.steps and not self.compared:
             console.print(
                 f"only {self.facets} of the object's {len(self.truth.steps_mm) + 1} facets were found: "
@@ -144,7 +153,7 @@ class Result:
         columns += ["truth (mm)", "error (um)"] if self.compared else []
         columns += ["paper (mm)", "its error (um)"] if self.compared and paper else []
         caption = self.measured.measurement["step_definition"]
-        table = Table(*columns, title=f"{self.subject}, depth equation", caption=caption)
+        table = Table(*columns, title=f"{self.subject}, {self.measured.measurement['method']}", caption=caption)
         for index, step in enumerate(self.measured.steps):
             row = [step["name"], f"{step['measured_mm']:.4f}", f"{step['uncertainty_um']:.1f}"]
             if self.compared:

@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core import (
-    PlateRelation,
     calibrate_camera,
-    calibrate_geometry,
     fit_plate_relation,
-    place_plate,
-    rays,
     smooth_reference,
 )
 from irpmd_rig.processing.archive import (
     ARRAYS,
     CALIBRATION,
     CameraResult,
-    geometry_content,
-    read_relation,
     relation_arrays,
     relation_content,
 )
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError, Refused
 from irpmd_rig.processing.frames import FringeStation, read_frame
 from irpmd_rig.processing.job import Job, known_number, size_of
+from irpmd_rig.processing.optics import known_glass
 from irpmd_rig.processing.phases import StationPhase, check_station
-from irpmd_rig.processing.regions import Mask, grow, shrink
+from irpmd_rig.processing.regions import Mask, grow
+from irpmd_rig.processing.stage_position import stage_position
 from irpmd_rig.processing.values import ProcessedRun
+from irpmd_rig.store.record import Kind
 
 
 def calibrate_camera_run(job: Job) -> ProcessedRun:
@@ -88,17 +83,17 @@ def calibrate_plate_run(job: Job) -> ProcessedRun:
         As `irpmd_rig.core.fit_plate_relation`.
     """
     stations = job.stations("plate")
-    counts = _one_pattern(stations)
+    counts = one_pattern(stations)
     job.plan(len(stations) + 2)
     stack: NDArray[np.float32] | None = None
     quality = []
     for place, station in enumerate(stations):
         job.step(f"plate at {station.stage2_mm:g} mm")
         phase = job.phase(station, take=True)
-        quality.append(_quality(job, station, phase))
+        quality.append(station_quality(job, station, phase))
         if stack is None:
             stack = np.empty((len(stations), *phase.phase_rad.shape), np.float32)
-        _same_size(phase.phase_rad, stack.shape[1:])
+        same_size(phase.phase_rad, stack.shape[1:])
         stack[place] = phase.phase_rad
     job.step("a polynomial a pixel")
     assert stack is not None  # there is at least one station
@@ -117,63 +112,6 @@ def calibrate_plate_run(job: Job) -> ProcessedRun:
     return job.finished(order=relation.order, valid_fraction=float(relation.valid.mean()), positions=len(stations))
 
 
-def calibrate_geometry_run(job: Job) -> ProcessedRun:
-    """Planes, angles, d and frame M: white and black frames ``sprayed`` and ``glass``, fringes ``mirror``.
-
-    Raises
-    ------
-    FramesUnusable
-        If frames are missing or fail their checks.
-    Refused
-        If the calibrations of camera and plate do not fit.
-    MeasurementError
-        As `irpmd_rig.core.calibrate_geometry`.
-    """
-    stations = job.stations("mirror")
-    if len(stations) != 1:
-        raise FramesUnusable(f"the mirror was taken at {len(stations)} stations; one is needed", "measure again")
-    counts = _one_pattern(stations)
-    job.chain.check_fringes(counts)
-    drawing = job.drawing
-    job.plan(4)
-    job.step("where the sprayed mirror and the glass are seen")
-    sprayed, glass = job.region("sprayed"), job.region("glass")
-    job.step("mirror")
-    phase = job.phase(stations[0], take=True)
-    quality = _quality(job, stations[0], phase)
-    job.step("planes, angles, distance")
-    camera, relation = _camera(job), _relation(job)
-    on_plate = next(board for board in camera.camera.boards if board.view == camera.plate_view)
-    for region in (sprayed, glass):
-        _same_size(region, phase.phase_rad.shape)
-    geometry = calibrate_geometry(
-        camera.camera,
-        relation,
-        place_plate(on_plate, camera.plate_position_mm),
-        phase.phase_rad,
-        shrink(sprayed),
-        shrink(glass),
-        rays=rays(camera.camera.intrinsics),
-        drawing=drawing,
-        board_view=on_plate.view,
-    )
-    content = {
-        **job.header(camera.camera.intrinsics.size_px),
-        "counts": list(counts),
-        **geometry_content(geometry, stations[0].stage1_mm),
-        "stage1_measured": stations[0].measured,
-        "stations": [quality],
-    }
-    job.begin_results()
-    job.folder.results.write_arrays(ARRAYS, {"sprayed": sprayed, "glass": glass})
-    job.wrote(ARRAYS)
-    job.folder.results.write_json(CALIBRATION, content)
-    job.wrote(CALIBRATION)
-    return job.finished(
-        d_mm=geometry.d_mm, sigma_d_mm=geometry.sigma_d_mm, gamma_deg=float(np.rad2deg(geometry.gamma_rad))
-    )
-
-
 def reference_run(job: Job) -> ProcessedRun:
     """Phase of the reference mirror at each position: white and black frames ``glass``, fringes ``mirror``.
 
@@ -187,27 +125,31 @@ def reference_run(job: Job) -> ProcessedRun:
         As `irpmd_rig.core.smooth_reference`.
     """
     stations = job.stations("mirror")
-    counts = _one_pattern(stations)
+    counts = one_pattern(stations)
     job.chain.check_fringes(counts)
     job.plan(len(stations) + 1)
     sprayed: Mask = job.chain.array("calibrate-geometry", "sprayed")
+    rig = known_glass(job.chain)
     arrays: dict[str, NDArray[np.generic]] = {}
-    quality, noise_rad = [], 0.0
+    quality, true_mm, noise_rad = [], [], 0.0
     for place, station in enumerate(stations):
         job.step(f"reference at {station.stage1_mm:g} mm")
         phase = job.phase(station, take=True)
-        glass = job.region("glass", _glass_station(job, station))
-        _same_size(glass, sprayed.shape)
+        glass = job.region("glass", glass_station(job, station))
+        same_size(glass, sprayed.shape)
         smooth = smooth_reference(phase.phase_rad, region=~grow(sprayed | glass))
         arrays[f"position_{place + 1}_rad"] = smooth.phase_rad
         noise_rad = max(noise_rad, smooth.noise_rad)
+        true_mm.append(stage_position(station, phase, rig).used_mm)
         fit = {"noise_rad": known_number(smooth.noise_rad), "coherent_rad": known_number(smooth.coherent_rad)}
-        quality.append({**_quality(job, station, phase), **fit})
+        quality.append({**station_quality(job, station, phase), **fit})
     content = {
         **job.header(size_of(sprayed.shape)),
         "counts": list(counts),
         "positions_mm": [station.stage1_mm for station in stations],
         "positions_measured": [station.measured for station in stations],
+        "positions_true_mm": true_mm,
+        "positions_true_is": "by the glass seen directly in the same frames, where the rig model and enough of it is",
         "phases": "position_k_rad of arrays.npz: smoothed absolute phase at positions_mm[k - 1]; NaN where not seen",
         "stations": quality,
     }
@@ -219,32 +161,20 @@ def reference_run(job: Job) -> ProcessedRun:
     return job.finished(positions_mm=[station.stage1_mm for station in stations], noise_rad=noise_rad)
 
 
-def _camera(job: Job) -> CameraResult:
-    try:
-        return CameraResult.read(job.chain.content("calibrate-camera"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise _damaged(job, "calibrate-camera", error) from None
+def damaged_calibration(job: Job, kind: Kind, error: Exception) -> Refused:
+    """Say which calibration cannot be read."""
+    return Refused(f"{kind} {job.chain.uses[kind]} is damaged: {error!r}", "make it again")
 
 
-def _relation(job: Job) -> PlateRelation:
-    try:
-        return read_relation(job.chain.content("calibrate-plate"), partial(job.chain.array, "calibrate-plate"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise _damaged(job, "calibrate-plate", error) from None
-
-
-def _damaged(job: Job, kind: str, error: Exception) -> Refused:
-    return Refused(f"{kind} {job.chain.uses[kind]} is damaged: {error!r}", "make it again")  # type: ignore[index]
-
-
-def _one_pattern(stations: tuple[FringeStation, ...]) -> tuple[float, ...]:
+def one_pattern(stations: tuple[FringeStation, ...]) -> tuple[float, ...]:
+    """Fringe counts of all stations; raises FramesUnusable if they differ in them or in phase steps."""
     patterns = {(station.counts, station.steps) for station in stations}
     if len(patterns) > 1:
         raise FramesUnusable("the stations differ in fringe counts or phase steps", "measure again")
     return stations[0].counts
 
 
-def _glass_station(job: Job, mirror: FringeStation) -> int:
+def glass_station(job: Job, mirror: FringeStation) -> int:
     """Station of the white and black frames of the glass alone, at the mirror's position."""
     window = job.facts.stage1.in_position_mm
     there = {
@@ -260,11 +190,13 @@ def _glass_station(job: Job, mirror: FringeStation) -> int:
     return there.pop()
 
 
-def _quality(job: Job, station: FringeStation, phase: StationPhase) -> dict[str, object]:
+def station_quality(job: Job, station: FringeStation, phase: StationPhase) -> dict[str, object]:
+    """What is known of a station's frames and phase; raises FramesUnusable if they fail their checks."""
     checks = check_station(job.folder, station, job.step)
     return {"station": station.number, "label": station.label, **checks, **phase.quality()}
 
 
-def _same_size(array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+def same_size(array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+    """Refuse pictures of different sizes; raises FramesUnusable."""
     if array.shape != shape:
         raise FramesUnusable(f"pictures differ in size: {array.shape} and {shape}", "measure again")

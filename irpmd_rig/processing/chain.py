@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from irpmd_rig.processing.archive import ARRAYS, CALIBRATION, Content
 from irpmd_rig.processing.errors import Refused
 from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
+from irpmd_rig.processing.wishes import NEED_A_REFERENCE, Wishes, wishes
+from irpmd_rig.recipes.models import Method
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.library import ACTIVE, Library
 from irpmd_rig.store.record import Kind, RunRecord
@@ -26,8 +28,16 @@ NEEDS: Mapping[Kind, tuple[Kind, ...]] = {
     "reference": ("calibrate-geometry", "calibrate-plate", "calibrate-camera"),
     "measure": ("calibrate-geometry", "calibrate-plate", "calibrate-camera", "reference"),
     "sequence": (),
+    "align": ("calibrate-plate", "calibrate-camera"),
+    "characterise": (),
 }
+_NEEDS_STAGE_AXIS = NEEDS["reference"]
 _ANOTHER = "choose another one, or make it again"
+
+
+def needs_of(kind: Kind, what: object = None) -> tuple[Kind, ...]:
+    """Give what a run needs beside its frames; of a characterise it depends on ``what``."""
+    return _NEEDS_STAGE_AXIS if kind == "characterise" and what == "stage-axis" else NEEDS[kind]
 
 
 class Chain:
@@ -36,16 +46,25 @@ class Chain:
     Parameters
     ----------
     record
-        The run's record: what it names in ``uses``, its camera and its rig.
+        The run's record: what it names in ``uses``, its camera, its rig and its recipe.
     library
         Where they are.
+
+    Attributes
+    ----------
+    uses
+        Kind to run id of what was found and fits.
+    off
+        Why the calibrations should not have been used, where the recipe says ``mark``; empty where nothing is wrong.
+    without_reference
+        Why a measurement has no reference whose method needs none; empty if it has one.
 
     Raises
     ------
     Refused
         If one is not named and none is active, is not there, or does not fit: every reason at once.
     ProcessingError
-        If the rig part of the record is wrong.
+        If the rig or the recipe part of the record is wrong.
     """
 
     def __init__(self, record: RunRecord, library: Library) -> None:
@@ -54,15 +73,37 @@ class Chain:
         self._facts: RigFacts = rig_facts(record)
         self._folders: dict[Kind, RunFolder] = {}
         self._contents: dict[Kind, Content] = {}
+        self.wishes: Wishes = wishes(record) if record.kind == "measure" else Wishes()
         self.uses: dict[Kind, str] = {}
-        needs = NEEDS[record.kind]
+        self.off: tuple[str, ...] = ()
+        self.without_reference = ""
+        needs = needs_of(record.kind, record.recipe.get("what"))
+        optional: tuple[Kind, ...] = ()
         for kind in needs:
+            if kind == "reference" and self._reference_is_optional():
+                optional = ("reference",)
+                continue
             # What the first calibration was made with comes with it.
             leads = kind in (needs[0], "reference")
             self._find(kind, self._named(kind) if leads else self._used_by(needs[0], kind))
-        reasons = [reason for kind in self.uses for reason in self._unfit(kind)]
-        if reasons:
-            raise Refused("; ".join(reasons), _ANOTHER)
+        self._refuse_unfit()
+        if optional:
+            self._take_reference()
+
+    @property
+    def method(self) -> tuple[Method, str]:
+        """Method of a measurement, and why this one."""
+        return self.wishes.chosen(has_model=self.has_model)
+
+    @property
+    def method_needs_reference(self) -> bool:
+        """Whether this is a measurement by a method that compares with a reference."""
+        return self._record.kind == "measure" and self.method[0] in NEED_A_REFERENCE
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the calibration of the geometry has a rig model."""
+        return self.content("calibrate-geometry").get("rig_model") is not None
 
     @property
     def stamp(self) -> tuple[tuple[str, str, int], ...]:
@@ -84,6 +125,13 @@ class Chain:
             except StoreError as error:
                 raise Refused(f"{kind} {self.uses[kind]} cannot be used: {error}", _ANOTHER) from None
         return self._contents[kind]
+
+    def document(self, kind: Kind, name: str) -> Content:
+        """Give another JSON document of the run used for ``kind``; raises Refused if it cannot be read."""
+        try:
+            return self._folders[kind].results.read_json(name)
+        except StoreError as error:
+            raise Refused(f"{kind} {self.uses[kind]} cannot be used: {error}", _ANOTHER) from None
 
     def array(self, kind: Kind, name: str) -> NDArray[Any]:
         """Give one array of `arrays.npz` of the run used for ``kind``; raises Refused if it cannot be read."""
@@ -140,6 +188,29 @@ class Chain:
             )
         return tuple(places)
 
+    def _reference_is_optional(self) -> bool:
+        """Whether no reference is named, and the method can do without."""
+        return self.method[0] not in NEED_A_REFERENCE and self._named("reference") == ACTIVE
+
+    def _take_reference(self) -> None:
+        """Use the active reference for what is compared, if there is one that fits."""
+        try:
+            self._find("reference", ACTIVE)
+            reasons = self._misfits("reference") + self._faults("reference")
+        except Refused as error:
+            reasons = [error.what]
+        if reasons:
+            self.uses.pop("reference", None)
+            self._folders.pop("reference", None)
+            self.without_reference = "; ".join(reasons)
+
+    def _refuse_unfit(self) -> None:
+        misfits = [reason for kind in self.uses for reason in self._misfits(kind)]
+        faults = [reason for kind in self.uses for reason in self._faults(kind)]
+        if misfits or (faults and self.wishes.if_calibration_is_off == "refuse"):
+            raise Refused("; ".join(misfits + faults), _ANOTHER)
+        self.off = tuple(faults)
+
     def _named(self, kind: Kind) -> str:
         record = self._record
         written = record.recipe.get("reference" if kind == "reference" else "calibration")
@@ -161,8 +232,8 @@ class Chain:
             raise Refused(f"{first} {self.uses[first]} goes with {kind} {uses[kind]}, not with {named}", _ANOTHER)
         return str(uses[kind])
 
-    def _unfit(self, kind: Kind) -> list[str]:
-        """Give the reasons why the run used for ``kind`` may not be used."""
+    def _faults(self, kind: Kind) -> list[str]:
+        """Give the reasons why what the run used for ``kind`` found may not be true any more, or never was."""
         run, content = self.uses[kind], self.content(kind)
         reasons = []
         ours, theirs = self._record.optics, content.get("camera_serial")
@@ -172,6 +243,23 @@ class Chain:
         age = age_days(content)
         if limit is not None and age is not None and age > limit:
             reasons.append(f"{kind} {run} is {age:.1f} days old, the rig file allows {limit:g}")
+        if kind == "calibrate-geometry" and self._record.kind == "measure" and self.method[0] != "depth-equation":
+            reasons += self._large_chi2()
+        return reasons
+
+    def _large_chi2(self) -> list[str]:
+        chi2 = (self.content("calibrate-geometry").get("rig_model") or {}).get("chi2_per_dof", 0.0)
+        if chi2 <= self.wishes.max_chi2:
+            return []
+        return [
+            f"the rig model of calibrate-geometry {self.uses['calibrate-geometry']} does not describe its own frames: "
+            f"chi2 {chi2:.3g} a degree of freedom, the recipe allows {self.wishes.max_chi2:g}"
+        ]
+
+    def _misfits(self, kind: Kind) -> list[str]:
+        """Give the reasons why the run used for ``kind`` cannot be used with the others, or for this method."""
+        run, content = self.uses[kind], self.content(kind)
+        reasons = []
         if kind == "reference":
             camera = (content.get("uses") or {}).get("calibrate-camera")
             if camera != self.uses["calibrate-camera"]:
@@ -179,6 +267,12 @@ class Chain:
                     f"the optics differ: reference {run} goes with calibrate-camera {camera}, calibrate-geometry "
                     f"{self.uses['calibrate-geometry']} with {self.uses['calibrate-camera']}"
                 )
+        if kind == "calibrate-geometry" and self._record.kind == "measure":
+            method, positions = self.method[0], self._record.positions_mm
+            if method != "depth-equation" and not self.has_model:
+                reasons.append(f"{kind} {run} has no rig model, which {method} needs: take it at several positions")
+            if method == "depth-equation" and len(positions) > 2:
+                reasons.append(f"{kind} {run} has no rig model, and the depth equation takes two positions")
         return reasons
 
 
@@ -214,7 +308,7 @@ def check_uses(record: RunRecord, library: Library) -> dict[Kind, str]:
         If the rig part of the record is wrong.
     """
     chain = Chain(record, library)
-    if record.kind == "measure" and record.positions_mm:
+    if chain.method_needs_reference and record.positions_mm:
         chain.reference_positions(record.positions_mm)
     if record.optics is not None:
         chain.check_size(record.optics.size_px)

@@ -1,71 +1,66 @@
-"""The depth map of a measurement, in bands of rows: small in memory, on every thread."""
+"""The depth equation's map, in bands of rows: small in memory, on every thread."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from irpmd_rig.core import Intrinsics, direct_depth
+from irpmd_rig.core import Intrinsics
+from irpmd_rig.core.reconstruction.depth_equation import equation_depth
+from irpmd_rig.core.reconstruction.views import DepthMap, Views
 from irpmd_rig.core.threads import over_rows
 from irpmd_rig.processing.regions import Window
 
 # The depth equation's dozen arrays of such a band stay in a core's own cache.
 _BAND_PX = 40_000
 
-Phase = NDArray[np.float32]
 
-
-def depth_map(
-    references: Sequence[NDArray[np.floating]],
-    phases: Sequence[Phase],
-    *,
-    d_mm: float,
-    delta_d_mm: float,
-    window: Window,
-    threads: int = 1,
-) -> Phase:
+def depth_map(views: Views, references: Views, *, d_mm: float, threads: int = 1) -> DepthMap:
     """Height above the reference plane by the depth equation.
 
     Parameters
     ----------
-    references : sequence of two ndarray, (h, w)
-        Absolute phases of the reference mirror at positions 1 and 2, in ``window``.
-    phases : sequence of two ndarray of float32, (H, W)
-        Absolute phases of the object at the same positions, of the whole picture.
+    views, references : Views
+        Phases of the object and of the reference mirror at the same two positions, in one window.
     d_mm : float
-        From the reference plane to the glass at position 1.
-    delta_d_mm : float
-        Travel from position 1 to position 2, positive away from the glass.
-    window : tuple of slice
-        Where the references are known; NaN outside.
+        From the reference plane to the glass at the first position.
     threads : int
         Bands computed at the same time.
 
     Returns
     -------
-    ndarray of float32, (H, W)
-        Height in mm, positive toward the glass; NaN where unknown.
+    DepthMap
+        As `irpmd_rig.core.reconstruction.depth_equation.equation_depth`.
 
     Raises
     ------
     FramesError, MeasurementError
-        As `irpmd_rig.core.direct_depth`.
+        As there.
     """
-    depth = np.full(phases[0].shape, np.nan, dtype=np.float32)
-    maps = [*references, *(phase[window] for phase in phases)]
-    inside = depth[window]
-    height, width = inside.shape
-    band = max(1, _BAND_PX // width)
+    height, width = views.shape
+    depth, sigma = (np.empty((height, width), np.float32) for _ in range(2))
+    band = max(1, _BAND_PX // max(width, 1))
 
     def work(first: int, last: int) -> None:
         for top in range(first, last, band):
             rows = slice(top, min(top + band, last))
-            inside[rows] = direct_depth(*(phase[rows] for phase in maps), d_mm=d_mm, delta_d_mm=delta_d_mm)
+            part = equation_depth(_rows(views, rows), _rows(references, rows), d_mm=d_mm)
+            depth[rows], sigma[rows] = part.depth_mm, part.sigma_mm
 
-    over_rows(height, min(threads, height), work)
-    return depth
+    over_rows(height, min(threads, max(height, 1)), work)
+    return DepthMap(depth, sigma)
+
+
+def _rows(views: Views, rows: slice) -> Views:
+    above, columns = views.window
+    return replace(
+        views,
+        phases_rad=tuple(phase[rows] for phase in views.phases_rad),
+        sigmas_rad=tuple(sigma[rows] for sigma in views.sigmas_rad),
+        window=(slice(above.start + rows.start, above.start + rows.stop), columns),
+        phases_y_rad=None,
+    )
 
 
 def windowed(intrinsics: Intrinsics, window: Window) -> Intrinsics:

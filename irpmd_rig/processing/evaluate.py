@@ -1,9 +1,11 @@
-"""From the depth map to facets and steps with their uncertainties, on the part of the picture that is known."""
+"""From a depth map, pixel by pixel, to facets and steps with their uncertainties."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,51 +13,71 @@ from numpy.typing import NDArray
 from irpmd_rig.core import (
     DEFINITION,
     FacetPlane,
-    RigGeometry,
+    Facets,
+    ReferenceFrame,
     Step,
-    depth_influences,
     find_facets,
     fit_facets,
     step_heights,
 )
 from irpmd_rig.core.errors import EvaluationError
 
-# The paper's stage is accurate to 1 um, at either position.
-SIGMA_TRAVEL_MM = float(np.sqrt(2) * 1e-3)
-
 Map = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """What a quantity that is not known exactly does to the heights of the facets.
+
+    Attributes
+    ----------
+    kind
+        ``random``, ``calibration``, or ``alignment``: taken for granted by the method, within a tolerance.
+    mean_mm
+        Change of every facet's mean height by one standard deviation or tolerance, (facets,).
+    """
+
+    kind: Literal["random", "calibration", "alignment"]
+    mean_mm: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
     """Facets of the object and the steps between them.
 
     Attributes
     ----------
-    labels : ndarray of int32, (H, W)
-        Facets, 1 and up; 0 elsewhere.
+    facets : Facets or None
+        Where they are; None where none was found.
     planes : tuple of FacetPlane
         One a facet.
     noise_mm : float
         Noise of a pixel of the depth map; NaN if no facet was found.
     steps : tuple of Step
         Between neighbouring facets; empty where there are none or they are curved.
+    covariance_um2 : ndarray, (steps, steps)
+        Of the steps, all parts together.
     definition : str
         What a step is.
     without_steps : str
         Why there are no steps; empty if there are.
     """
 
-    labels: NDArray[np.int32]
+    facets: Facets | None
     planes: tuple[FacetPlane, ...]
     noise_mm: float
     steps: tuple[Step, ...]
+    covariance_um2: Array
     definition: str
     without_steps: str
 
 
 def evaluate(
-    depth_mm: Map, phases_rad: Sequence[Map], geometry: RigGeometry, rays: NDArray[np.float64], *, d_mm: float
+    depth_mm: Map,
+    frame: ReferenceFrame,
+    rays: NDArray[np.float64],
+    changes: Callable[[Facets], Sequence[Change]],
 ) -> Evaluation:
     """Find the facets, fit planes, and take the steps between them if they are flat.
 
@@ -63,14 +85,12 @@ def evaluate(
     ----------
     depth_mm : ndarray, (H, W)
         Height; NaN where unknown.
-    phases_rad : sequence of four ndarray, (H, W)
-        Reference 1 and 2, measured 1 and 2.
-    geometry : RigGeometry
-        Frame M and the uncertainty of d.
+    frame : ReferenceFrame
+        The camera's place in frame M.
     rays : ndarray, (H, W, 3)
         Of the same pixels.
-    d_mm : float
-        Distance to the glass at position 1.
+    changes : callable
+        Tells what uncertain quantities do to the facets that were found.
 
     Returns
     -------
@@ -80,25 +100,67 @@ def evaluate(
     depth_mm = depth_mm.astype(np.float64)
     try:
         facets = find_facets(depth_mm)
-        planes = fit_facets(depth_mm, facets, geometry.frame, rays)
+        planes = fit_facets(depth_mm, facets, frame, rays)
     except EvaluationError as error:
-        return Evaluation(np.zeros(depth_mm.shape, np.int32), (), float("nan"), (), DEFINITION, str(error))
+        return Evaluation(None, (), float("nan"), (), np.empty((0, 0)), DEFINITION, str(error))
     curved = [str(plane.facet) for plane in planes if not plane.flat]
-    without = ""
-    if len(planes) < 2:
-        without = "one facet was found, a step needs two"
-    elif curved:
-        without = f"facet {', '.join(curved)} is curved: a step between planes is not defined for it"
-    steps: tuple[Step, ...] = ()
-    if not without:
-        influences = depth_influences(
-            tuple(phases_rad),
-            depth_mm,
-            geometry.frame,
-            rays,
-            d_mm=d_mm,
-            sigma_d_mm=geometry.sigma_d_mm,
-            sigma_delta_d_mm=SIGMA_TRAVEL_MM,
+    if len(planes) < 2 or curved:
+        without = (
+            f"facet {', '.join(curved)} is curved: a step between planes is not defined for it"
+            if curved
+            else "one facet was found, a step needs two"
         )
-        steps = step_heights(planes, facets, influences)
-    return Evaluation(facets.labels, planes, facets.noise_mm, steps, DEFINITION, without)
+        return Evaluation(facets, planes, facets.noise_mm, (), np.empty((0, 0)), DEFINITION, without)
+    steps = step_heights(planes, facets)
+    parts = step_covariances_um2(planes, changes(facets))
+    steps = tuple(
+        replace(
+            step,
+            random_um=float(np.sqrt(parts["random"][k, k])),
+            calibration_um=float(np.sqrt(parts["calibration"][k, k])),
+            alignment_um=float(np.sqrt(parts["alignment"][k, k])),
+        )
+        for k, step in enumerate(steps)
+    )
+    return Evaluation(facets, planes, facets.noise_mm, steps, sum(parts.values(), np.zeros(())), DEFINITION, "")
+
+
+def step_covariances_um2(planes: Sequence[FacetPlane], changes: Sequence[Change]) -> dict[str, Array]:
+    """Covariance of the steps between neighbouring planes, part by part: neighbours share a plane.
+
+    Parameters
+    ----------
+    planes : sequence of FacetPlane
+        Of which the steps are taken, halfway between their centres.
+    changes : sequence of Change
+        Uncertain quantities, each independent of the others.
+
+    Returns
+    -------
+    dict
+        ``random``, ``calibration`` and ``alignment``: (steps, steps), um^2.
+    """
+    count = len(planes)
+    by_plane = np.zeros((count - 1, 3 * count))
+    for k, (lower, upper) in enumerate(pairwise(planes)):
+        middle = 0.5 * (lower.centre_mm + upper.centre_mm)
+        by_plane[k, 3 * k : 3 * k + 3] = -1.0, *(lower.centre_mm - middle)
+        by_plane[k, 3 * k + 3 : 3 * k + 6] = 1.0, *(middle - upper.centre_mm)
+    noise = np.zeros((3 * count, 3 * count))
+    for k, plane in enumerate(planes):
+        noise[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = plane.covariance
+    parts = {kind: np.zeros((count - 1, count - 1)) for kind in ("random", "calibration", "alignment")}
+    parts["random"] += 1e6 * by_plane @ noise @ by_plane.T
+    for change in changes:
+        moved = 1e3 * np.diff(change.mean_mm)
+        parts[change.kind] += np.outer(moved, moved)
+    return parts
+
+
+def facet_means(change_mm: Map, labels: NDArray[np.int32], count: int) -> Array:
+    """Mean of a map over each facet, (count,); NaN pixels are left out, a facet without any has none."""
+    known = np.isfinite(change_mm) & (labels > 0)
+    sums = np.bincount(labels[known], weights=change_mm[known], minlength=count + 1)[1:]
+    pixels = np.bincount(labels[known], minlength=count + 1)[1:]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sums / pixels)

@@ -11,7 +11,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from irpmd_rig.processing.errors import FramesUnusable
-from irpmd_rig.store.entries import ManifestEntry
+from irpmd_rig.store.entries import ManifestEntry, Orientation
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.frame_file import checksum
 from irpmd_rig.store.run_folder import RunFolder
@@ -31,8 +31,8 @@ class FringeStation:
     ----------
     number
         The station.
-    label
-        What stood before the camera.
+    label, orientation
+        What stood before the camera, and along which axis of the projector the phase grows.
     counts, steps
         Fringe counts of the sets and phase steps of each.
     entries
@@ -41,6 +41,7 @@ class FringeStation:
 
     number: int
     label: str
+    orientation: Orientation
     counts: tuple[float, ...]
     steps: int
     entries: tuple[ManifestEntry, ...]
@@ -77,7 +78,9 @@ class FringeStation:
         return tuple((entry.path, entry.sha256, entry.index) for entry in self.entries)
 
 
-def fringe_stations(entries: Sequence[ManifestEntry], label: str, orientation: str = "x") -> tuple[FringeStation, ...]:
+def fringe_stations(
+    entries: Sequence[ManifestEntry], label: str, orientation: Orientation = "x"
+) -> tuple[FringeStation, ...]:
     """Full sets of fringes of one label, in the order of the stations.
 
     Raises
@@ -109,7 +112,8 @@ def _station(number: int, entries: list[ManifestEntry], label: str) -> FringeSta
     if missing or len(found) != len(entries) or len(found) != len(places):
         what = f"set {missing[0][0]} step {missing[0][1]} is missing" if missing else "some set and step is there twice"
         raise FramesUnusable(f"{where}: {len(entries)} frames for {len(places)} patterns: {what}", _RETAKE)
-    return FringeStation(number, label, first.counts, first.steps, tuple(found[place] for place in places))
+    ordered = tuple(found[place] for place in places)
+    return FringeStation(number, label, first.orientation, first.counts, first.steps, ordered)
 
 
 def _one_position(label: str, positions: list[float | None], name: str) -> float:

@@ -17,7 +17,8 @@ from irpmd_rig.processing.phases import Phases, StationPhase
 from irpmd_rig.processing.regions import Mask, lit
 from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
 from irpmd_rig.processing.values import Announce, ProcessedRun, Progress, Summary
-from irpmd_rig.store.entries import ManifestEntry
+from irpmd_rig.processing.whole import withdraw
+from irpmd_rig.store.entries import ManifestEntry, Orientation
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.record import RunRecord, software_versions
 from irpmd_rig.store.run_folder import RunFolder
@@ -79,22 +80,26 @@ class Job:
 
     def begin_results(self) -> None:
         """Delete what was computed before: old and new results never lie side by side."""
-        self.folder.results.clear()
+        withdraw(self.folder.results)
 
     def withdraw(self) -> None:
         """Delete what was computed of a run that cannot be computed: half of it would pass for a result."""
         if self.files:
             with suppress(OSError, StoreError):
-                self.folder.results.clear()
+                withdraw(self.folder.results)
 
     def wrote(self, name: str) -> None:
         """Tell of a result that is on disk."""
         self.files.append(name)
         self._announce(Progress(f"{name} is written", min(1.0, self._done / self._steps), name))
 
-    def stations(self, label: str) -> tuple[FringeStation, ...]:
+    def stations(self, label: str, orientation: Orientation = "x") -> tuple[FringeStation, ...]:
         """Full sets of fringes of one label; raises FramesUnusable."""
-        return fringe_stations(self.entries, label)
+        return fringe_stations(self.entries, label, orientation)
+
+    def has(self, label: str, orientation: Orientation) -> bool:
+        """Whether there are fringes of a label along an axis of the projector."""
+        return any(e.label == label and e.role == "fringes" and e.orientation == orientation for e in self.entries)
 
     def phase(self, station: FringeStation, *, take: bool = False) -> StationPhase:
         """Phase of a station (`Phases.at`); raises FramesUnusable, or Refused for frames of another size."""

@@ -16,11 +16,14 @@ from typing import Any
 
 from irpmd_rig.processing.errors import ComputingLost, FramesUnusable, ProcessingError, Refused
 from irpmd_rig.processing.values import Announce, ProcessedRun, Progress
+from irpmd_rig.processing.whole import withdraw_partial
 from irpmd_rig.programs import module_command, module_environment
+from irpmd_rig.store.errors import StoreError
+from irpmd_rig.store.results import Results
 from irpmd_rig.store.states import Reason
 
-# The longest step is the polynomial of every pixel; ten times what it takes on a slow machine.
-SILENCE_S = 120.0
+# The longest step is the calibration of the rig; several times what it takes on a slow machine.
+SILENCE_S = 300.0
 # The kernel ends a computing process whose step takes so long, program or no program.
 HANG_S = 2 * SILENCE_S
 QUIT_S = 3.0
@@ -107,10 +110,14 @@ class Worker:
             connection, number = self._send({"do": "process", "folder": str(folder)})
             try:
                 return self._answer(connection, number, folder, announce)
+            except ComputingLost:
+                _withdraw_partial(folder)
+                raise
             except ProcessingError:
                 raise
             except EOFError:
                 ended = self._bury(connection)
+                _withdraw_partial(folder)
                 with self._state:
                     cancelled = self._cancelled
                 if cancelled:
@@ -123,6 +130,7 @@ class Worker:
                 with self._state:
                     self._kill()
                 self._bury(connection)
+                _withdraw_partial(folder)
                 raise
         raise ComputingLost(
             f"the computing process ended {_ATTEMPTS} times ({ended})",
@@ -229,6 +237,12 @@ class Worker:
         process.kill()
         code = process.wait()
         return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+
+
+def _withdraw_partial(folder: Path) -> None:
+    """Delete what a computing process left that ended in the middle: half of it would pass for a result."""
+    with contextlib.suppress(OSError, StoreError):
+        withdraw_partial(Results(folder / "results"))
 
 
 def _environment(threads: int) -> dict[str, str]:

@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 
 from irpmd_rig.core import AbsolutePhase, check_frames, decode
 from irpmd_rig.core.errors import MeasurementError
+from irpmd_rig.core.phase.pattern_error import PatternError, pattern_error
+from irpmd_rig.core.phase.results import NoiseModel
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
 from irpmd_rig.processing.frames import Frame, FringeStation, read_fringes
+from irpmd_rig.processing.regions import Window
+from irpmd_rig.processing.rig_facts import rig_facts
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason
 
@@ -27,7 +31,13 @@ class StationPhase:
     Attributes
     ----------
     phase_rad
-        float32 (H, W), NaN where not valid.
+        float32 (H, W), NaN where not valid; the pattern's own error is removed.
+    modulation_map_dn
+        float32 (H, W).
+    noise
+        Of one pixel value.
+    sigma_scale
+        One sigma of the phase, of modulation over noise.
     valid_fraction
         Share of the picture's pixels that are valid.
     modulation_dn, sigma_rad
@@ -35,6 +45,9 @@ class StationPhase:
     """
 
     phase_rad: NDArray[np.float32]
+    modulation_map_dn: NDArray[np.float32]
+    noise: NoiseModel
+    sigma_scale: float
     valid_fraction: float
     modulation_dn: float
     sigma_rad: float
@@ -44,6 +57,13 @@ class StationPhase:
         """Width and height of the picture."""
         height, width = self.phase_rad.shape
         return width, height
+
+    def sigma_in(self, window: Window) -> NDArray[np.float32]:
+        """One sigma of the phase by the frames' own noise, in a window; rad, without meaning where not valid."""
+        modulation = self.modulation_map_dn[window]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sigma = np.sqrt(self.noise.variance_dn2(modulation)) / modulation
+        return np.asarray(np.float32(self.sigma_scale) * sigma)
 
     def quality(self) -> dict[str, float | None]:
         """What the phase is worth, for people; None where it cannot be known."""
@@ -66,6 +86,7 @@ class Phases:
         self._known: dict[tuple[Any, ...], StationPhase] = {}
         self._frames: Frame | None = None
         self._maps: AbsolutePhase | None = None
+        self._errors: dict[tuple[tuple[float, ...], int, int], PatternError] = {}
 
     def at(self, folder: RunFolder, station: FringeStation, *, take: bool = False) -> StationPhase:
         """Phase of a station, decoded now if it was not before.
@@ -104,8 +125,9 @@ class Phases:
         self._frames = frames = read_fringes(folder, station, self._frames)
         maps = self._maps
         if maps is not None and maps.phase_rad.shape == frames.shape[2:]:
-            # The phase stays with whoever asked for it; the other maps are used again.
-            maps = replace(maps, phase_rad=np.empty(frames.shape[2:], np.float32))
+            # Phase and modulation stay with whoever asked for them; the other map is used again.
+            phase, modulation = (np.empty(frames.shape[2:], np.float32) for _ in range(2))
+            maps = replace(maps, phase_rad=phase, modulation_dn=modulation)
         else:
             maps = None
         try:
@@ -122,7 +144,18 @@ class Phases:
             raise FramesUnusable(
                 f"station {station.number} ({station.label}) cannot be decoded: {error}", remedy
             ) from None
+        # Levels that compensate a gamma are rounded in other ways than those that the error is known for.
+        if folder.record().recipe.get("compensation") is None:
+            self._pattern_error(folder, station).remove(result.phase_rad)
         return _summarised(result)
+
+    def _pattern_error(self, folder: RunFolder, station: FringeStation) -> PatternError:
+        """Error of the images that `irpmd_rig.core.fringe_images` makes for this rig's projector."""
+        size_px = rig_facts(folder.record()).projector.size_px
+        key = station.counts, station.steps, size_px[0 if station.orientation == "x" else 1]
+        if key not in self._errors:
+            self._errors[key] = pattern_error(*key, unwrapping=unwrapping(station.counts))
+        return self._errors[key]
 
 
 def unwrapping(counts: tuple[float, ...]) -> Literal["optimum", "hierarchical"]:
@@ -169,10 +202,14 @@ def _summarised(result: AbsolutePhase) -> StationPhase:
     valid = result.valid[thin]
     modulation = np.median(result.modulation_dn[thin][valid]) if valid.any() else np.nan
     weight = sum((c / max(result.counts)) ** 2 for c in result.counts) if result.unwrapping == "optimum" else 1.0
+    scale = float(np.sqrt(2 / result.steps / weight))
     variance = result.noise.variance_dn2(np.asarray(modulation, np.float32))
     return StationPhase(
         phase_rad=result.phase_rad,
+        modulation_map_dn=result.modulation_dn,
+        noise=result.noise,
+        sigma_scale=scale,
         valid_fraction=float(np.count_nonzero(result.valid) / result.valid.size),
         modulation_dn=float(modulation),
-        sigma_rad=float(np.sqrt(2 / result.steps / weight * variance) / modulation),
+        sigma_rad=float(scale * np.sqrt(variance) / modulation),
     )

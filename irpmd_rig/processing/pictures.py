@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from irpmd_rig.core import wrapped_phases
+from irpmd_rig.core.calibration.rig_calibration import ResidualMap
 from irpmd_rig.processing.frames import FringeStation, read_frame
 from irpmd_rig.processing.phases import StationPhase
 from irpmd_rig.processing.regions import Window
@@ -66,6 +67,14 @@ def write_pictures(
     _panels(results, "facets.png", [("facets found", found)], "facet", "tab10", window)
     _surface(results, "surface.png", points_mm, limits)
     return "frames.png", "wrapped_phase.png", "absolute_phase.png", "depth.png", "facets.png", "surface.png"
+
+
+def write_residuals(results: Results, name: str, maps: Sequence[ResidualMap]) -> None:
+    """Draw what a rig model leaves of the phases of each view, in sigmas of a cell."""
+    panels = [(f"residual at {residual.stage1_mm:g} mm", residual.sigmas) for residual in maps]
+    height, width = (size * maps[0].block_px for size in maps[0].sigmas.shape)
+    window = slice(0, height), slice(0, width)
+    _panels(results, name, panels, "phase residual (sigmas of a cell)", "coolwarm", window, np.array([-5.0, 5.0]))
 
 
 def _wrapped(folder: RunFolder, station: FringeStation, window: Window) -> NDArray[np.float32]:

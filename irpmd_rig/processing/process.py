@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from irpmd_rig.core.errors import MeasurementError
-from irpmd_rig.processing.calibrate import (
-    calibrate_camera_run,
-    calibrate_geometry_run,
-    calibrate_plate_run,
-    reference_run,
-)
+from irpmd_rig.processing.align import align_run
+from irpmd_rig.processing.calibrate import calibrate_camera_run, calibrate_plate_run, reference_run
+from irpmd_rig.processing.calibrate_geometry import calibrate_geometry_run
 from irpmd_rig.processing.chain import Chain
+from irpmd_rig.processing.characterise import characterise_run
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
 from irpmd_rig.processing.frames import FringeStation, damaged, fringe_stations
 from irpmd_rig.processing.job import Job
-from irpmd_rig.processing.measure import Optics, load_optics, measure_run
+from irpmd_rig.processing.measure import measure_run
+from irpmd_rig.processing.optics import Optics, load_optics
 from irpmd_rig.processing.phases import Phases
-from irpmd_rig.processing.values import Announce, ProcessedRun
+from irpmd_rig.processing.values import Announce, ProcessedRun, Progress
+from irpmd_rig.processing.whole import withdraw_partial
+from irpmd_rig.report.run import write_report
+from irpmd_rig.store.entries import ManifestEntry
 from irpmd_rig.store.errors import DiskFull, StoreError
 from irpmd_rig.store.library import Library
 from irpmd_rig.store.record import Kind, RunRecord
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason
 
+MANIFEST = "manifest.jsonl"
 _KINDS: Mapping[Kind, Callable[[Job], ProcessedRun]] = {
     "calibrate-camera": calibrate_camera_run,
     "calibrate-plate": calibrate_plate_run,
     "calibrate-geometry": calibrate_geometry_run,
     "reference": reference_run,
+    "align": align_run,
+    "characterise": characterise_run,
 }
 
 
@@ -88,7 +94,8 @@ class Processor:
         """
         try:
             with _typed_errors():
-                record, entries = folder.record(), folder.manifest()
+                withdraw_partial(folder.results)
+                record, entries = folder.record(), _manifest(folder)
                 chain = self._chained(folder, record, library)
                 job = Job(folder, record, entries, chain, self._phases, announce)
                 try:
@@ -97,7 +104,7 @@ class Processor:
                     if record.kind == "measure":
                         return measure_run(job, self._load(job.chain))
                     return _KINDS[record.kind](job)
-                except (ProcessingError, MeasurementError, StoreError):
+                except BaseException:
                     job.withdraw()
                     raise
         finally:
@@ -121,6 +128,29 @@ class Processor:
             self._optics = None
             self._optics = key, load_optics(chain)
         return self._optics[1]
+
+
+def reported(done: ProcessedRun, folder: RunFolder, library: Library, announce: Announce) -> ProcessedRun:
+    """Write the report of a run that was computed: the last of its results.
+
+    Parameters
+    ----------
+    done
+        What was computed.
+    folder, library, announce
+        As `Processor.process`.
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be written.
+    """
+    announce(Progress("the report is written", 1.0))
+    with _typed_errors():
+        names = write_report(folder, library)
+    for name in names:
+        announce(Progress(f"{name} is written", 1.0, name))
+    return replace(done, files=(*done.files, *names))
 
 
 def process(folder: RunFolder, library: Library, announce: Announce, *, threads: int = 1) -> ProcessedRun:
@@ -154,12 +184,25 @@ def reconstruct(path: Path, library: Library, announce: Announce, *, threads: in
             raise FramesUnusable(
                 f"{len(bad)} frames are missing or damaged: {', '.join(bad[:5])}", "restore them, or measure again"
             )
-        return process(folder, library, announce, threads=threads)
+        done = process(folder, library, announce, threads=threads)
+        return reported(done, folder, library, announce)
+
+
+def _manifest(folder: RunFolder) -> tuple[ManifestEntry, ...]:
+    entries = folder.manifest()
+    if not (folder.path / MANIFEST).is_file():
+        raise FramesUnusable(
+            f"{folder.path} has no {MANIFEST}: which frame is what is not known", "write it, one line a frame"
+        )
+    if not entries:
+        raise FramesUnusable(f"{folder.path / MANIFEST} names no frame", "measure again, or complete it")
+    return entries
 
 
 def _complete(folder: RunFolder, station: int) -> tuple[FringeStation, ...]:
-    entries = [e for e in folder.frames(station=station, role="fringes") if e.orientation == "x"]
-    return tuple(found for label in sorted({e.label for e in entries}) for found in fringe_stations(entries, label))
+    entries = folder.frames(station=station, role="fringes")
+    sets = sorted({(entry.label, entry.orientation) for entry in entries})
+    return tuple(found for label, orientation in sets for found in fringe_stations(entries, label, orientation))
 
 
 class _typed_errors:  # noqa: N801 - a context manager
@@ -177,4 +220,4 @@ class _typed_errors:  # noqa: N801 - a context manager
             raise ProcessingError(str(error), "see what was said, then measure again") from error
 
 
-__all__ = ["Processor", "process", "reconstruct"]
+__all__ = ["Processor", "process", "reconstruct", "reported"]

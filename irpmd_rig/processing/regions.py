@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 _LIT_FRACTION = 0.2  # of the brightest parts: what counts as lit
 _EDGE_PX = 6
+_RIM = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1))
+_SQUARE = np.ones((5, 5), np.uint8)
 
 Mask = NDArray[np.bool_]
 Window = tuple[slice, slice]
@@ -36,12 +39,19 @@ def lit(white: NDArray[Any], black: NDArray[Any]) -> Mask:
 
 def grow(region: Mask) -> Mask:
     """A region with a rim added."""
-    return np.asarray(ndimage.binary_dilation(region, iterations=_EDGE_PX))
+    return np.asarray(cv2.dilate(region.astype(np.uint8), _RIM), dtype=np.bool_)
 
 
 def shrink(region: Mask) -> Mask:
     """A region without its rim, where two surfaces share a pixel."""
-    return np.asarray(ndimage.binary_erosion(region, iterations=_EDGE_PX))
+    # Outside the picture nothing is known: its edge is a rim, too.
+    return np.asarray(cv2.erode(region.astype(np.uint8), _RIM, borderValue=0), dtype=np.bool_)
+
+
+def solid(region: Mask) -> Mask:
+    """A region without its small holes and specks: pixels that noise spoils part no surface."""
+    closed = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, _SQUARE)
+    return np.asarray(cv2.morphologyEx(closed, cv2.MORPH_OPEN, _SQUARE), dtype=np.bool_)
 
 
 def bounding_box(known: Mask) -> Window | None:
@@ -63,6 +73,15 @@ def common(windows: Sequence[Window]) -> Window:
     rows, columns = (slice(max(w[axis].start for w in windows), min(w[axis].stop for w in windows)) for axis in (0, 1))
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise ValueError("what is seen at one position is not seen at another")
+    return rows, columns
+
+
+def overlap(one: Window, other: Window) -> Window:
+    """Give the rows and columns that two windows share, none where they share none."""
+    rows, columns = (
+        slice(max(a.start, b.start), max(max(a.start, b.start), min(a.stop, b.stop)))
+        for a, b in zip(one, other, strict=True)
+    )
     return rows, columns
 
 

@@ -1,15 +1,21 @@
-"""Facets and steps as content of `result.json` and rows of `steps.csv`."""
+"""A measurement as content of `result.json` and rows of `steps.csv`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from irpmd_rig.core import FacetPlane, Step
 from irpmd_rig.processing.archive import Content
-from irpmd_rig.processing.evaluate import Evaluation
-from irpmd_rig.processing.job import known_number
+from irpmd_rig.processing.chain import age_days
+from irpmd_rig.processing.estimates import Check, MethodResult, StepFigures
+from irpmd_rig.processing.job import Job, known_number
+from irpmd_rig.processing.methods import SIGMA_TRAVEL_MM, PixelDepth
+from irpmd_rig.processing.object_views import ObjectViews
+from irpmd_rig.processing.optics import Optics
+from irpmd_rig.recipes.models import Method
 
 _COLUMNS = (
     "step", "measured_mm", "sigma_um", "random_um", "calibration_um", "alignment_um",
@@ -17,30 +23,191 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def facet_content(plane: FacetPlane) -> Content:
-    """One facet's plane: ``z = height + slope . (xy - centre)`` in frame M."""
+@dataclass(frozen=True, slots=True)
+class MethodFiles:
+    """Names of a method's maps."""
+
+    depth: str
+    sigma: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Everything that was computed.
+
+    Attributes
+    ----------
+    seen
+        Phases and stage positions.
+    depth, depth_files
+        The depth map of the chosen method, pixel by pixel, or of the one that it begins with.
+    results, files
+        By method; the chosen one first.
+    not_computed
+        Why a method that was to be compared has no result.
+    checked
+        What is known of the frames of each station.
+    """
+
+    seen: ObjectViews
+    depth: PixelDepth
+    depth_files: MethodFiles
+    results: Mapping[Method, MethodResult]
+    files: Mapping[Method, MethodFiles]
+    not_computed: Mapping[Method, str]
+    checked: Sequence[Content]
+
+
+def result_content(job: Job, optics: Optics, measured: Measured) -> Content:
+    """Everything of a measurement as JSON: the chosen method's figures on top, those of all below ``methods``."""
+    record, seen = job.record, measured.seen
+    method, because = job.chain.method
+    chosen = measured.results[method]
     return {
-        "facet": plane.facet,
-        "centre_mm": plane.centre_mm.tolist(),
-        "height_mm": plane.height_mm,
-        "sigma_height_um": known_number(1e3 * float(np.sqrt(plane.covariance[0, 0]))),
-        "slope_rad": plane.slope.tolist(),
-        "sigma_slope_rad": np.sqrt(np.diag(plane.covariance)[1:]).tolist(),
-        "mean_height_mm": plane.mean_height_mm,
-        "rms_um": 1e3 * plane.rms_mm,
-        "pixels": plane.pixels,
-        "flat": plane.flat,
+        **job.header(seen.phases[0].size_px),
+        "name": record.name,
+        "operator": record.operator,
+        "sample": record.sample,
+        "notes": record.notes,
+        "method": method,
+        "method_because": because,
+        "counts": list(seen.stations[0].counts),
+        "steps_a_set": seen.stations[0].steps,
+        "orientations": ["x"] if seen.phases_y is None else ["x", "y"],
+        "positions": _positions(measured),
+        "reference_positions_mm": None if optics.references is None else list(optics.references.positions_mm),
+        "without_reference": job.chain.without_reference or None,
+        "calibration": _calibration(job, optics),
+        **_distances(optics, seen),
+        "depth": _depth_content(measured, chosen),
+        "facets": list(chosen.facets),
+        "step_definition": chosen.definition,
+        "steps": steps_content(chosen.steps, record.nominal_steps_mm),
+        "without_steps": chosen.without_steps or None,
+        "measured_steps_mm": [step.height_mm for step in chosen.steps],
+        "nominal_steps_mm": list(record.nominal_steps_mm),
+        "methods": {
+            name: _method_content(result, measured.files[name], record.nominal_steps_mm)
+            for name, result in measured.results.items()
+        },
+        "not_computed": dict(measured.not_computed),
+        "checks": [check.content() for check in (*_checks(job, optics, seen), *chosen.checks)],
     }
 
 
-def steps_content(evaluation: Evaluation, nominal_mm: Sequence[float]) -> list[Content]:
+def _positions(measured: Measured) -> list[Content]:
+    """Each stage position with what is known of its frames and its phase."""
+    seen = measured.seen
+    return [
+        {
+            "station": station.number,
+            "stage1_mm": position.read_mm,
+            "stage1_measured": station.measured,
+            "stage1_by_the_glass_mm": position.used_mm if position.measured else None,
+            "sigma_stage1_mm": known_number(position.sigma_mm),
+            "exposure_us": station.entries[0].exposure_us,
+            "led": station.entries[0].led,
+            "intensity": station.entries[0].intensity,
+            "bits": station.entries[0].bits,
+            **checked,
+            **phase.quality(),
+        }
+        for station, position, phase, checked in zip(
+            seen.stations, seen.positions, seen.phases, measured.checked, strict=True
+        )
+    ]
+
+
+def _calibration(job: Job, optics: Optics) -> Content:
+    content = job.chain.content("calibrate-geometry")
+    age = age_days(content)
+    return {
+        "age_days": None if age is None else round(age, 3),
+        "off": list(job.chain.off),
+        "rig_model_chi2_per_dof": None if optics.rig is None else optics.rig.chi2_per_dof,
+        "rig_model_undetermined": None if optics.rig is None else content["rig_model"]["undetermined"],
+        "rig_model_flexible": None if optics.rig is None else content["rig_model"]["flexible"],
+    }
+
+
+def _distances(optics: Optics, seen: ObjectViews) -> Content:
+    """What the depth equation needs beside the phases: d at the first position, and the travel to the second."""
+    geometry, (first_mm, second_mm, *_) = optics.geometry, seen.read_mm
+    return {
+        "d_mm": geometry.d_mm + first_mm - optics.geometry_at_mm,
+        "sigma_d_mm": geometry.sigma_d_mm,
+        "sigma_d_parts_um": geometry.sigma_parts_um,
+        "delta_d_mm": second_mm - first_mm,
+        "sigma_delta_d_mm": SIGMA_TRAVEL_MM,
+        "sigma_delta_d_is": "assumed: 1 um at either position",
+    }
+
+
+def _depth_content(measured: Measured, chosen: MethodResult) -> Content:
+    depth, (rows, columns) = measured.depth, measured.depth.window
+    known = np.isfinite(depth.maps.depth_mm)
+    width, height = measured.seen.phases[0].size_px
+    pixels = int(np.count_nonzero(known))
+    return {
+        "file": measured.depth_files.depth,
+        "sigma_file": measured.depth_files.sigma,
+        "unit": "mm",
+        "is": "height of each pixel by itself above the reference plane, positive toward the glass; NaN where unknown",
+        "pixels": pixels,
+        "fraction_of_picture": pixels / (width * height),
+        "rows": [rows.start, rows.stop],
+        "columns": [columns.start, columns.stop],
+        "noise_of_a_pixel_um": known_number(1e3 * chosen.noise_mm),
+        "stated_noise_of_a_pixel_um": known_number(1e3 * float(np.nanmedian(depth.maps.sigma_mm))),
+    }
+
+
+def _method_content(result: MethodResult, files: MethodFiles, nominal_mm: Sequence[float]) -> Content:
+    known = np.isfinite(result.maps.depth_mm)
+    return {
+        "depth_file": files.depth,
+        "sigma_file": files.sigma,
+        "pixels": int(np.count_nonzero(known)),
+        "noise_of_a_pixel_um": known_number(1e3 * result.noise_mm),
+        "stated_noise_of_a_pixel_um": known_number(1e3 * _median(result.maps.sigma_mm)),
+        "facets": list(result.facets),
+        "step_definition": result.definition,
+        "steps": steps_content(result.steps, nominal_mm),
+        "step_covariance_um2": result.covariance_um2.tolist(),
+        "without_steps": result.without_steps or None,
+        "chi2_per_dof": None if result.chi2_per_dof is None else known_number(result.chi2_per_dof),
+        "checks": [check.content() for check in result.checks],
+    }
+
+
+def _median(values: NDArray[np.float32]) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _checks(job: Job, optics: Optics, seen: ObjectViews) -> list[Check]:
+    """Checks of the whole measurement; those of its frames are in its positions."""
+    off = job.chain.off
+    found = [Check("calibration", not off, "; ".join(off) or "of this camera, not too old")]
+    if optics.rig is not None:
+        limit, chi2 = job.chain.wishes.max_chi2, optics.rig.chi2_per_dof
+        says = f"chi2 of the rig model {chi2:.2f} a degree of freedom"
+        found.append(Check("rig model", chi2 <= limit, says, chi2, limit))
+        offsets = [1e3 * (p.used_mm - p.read_mm) for p in seen.positions if p.measured]
+        if offsets:
+            worst, window_um = max(offsets, key=abs), 1e3 * job.facts.stage1.in_position_mm
+            says = f"by the glass seen in the same frames the stage stood up to {worst:+.1f} um beside its reading"
+            found.append(Check("stage positions", abs(worst) <= window_um, says, abs(worst), window_um))
+    return found
+
+
+def steps_content(steps: Sequence[StepFigures], nominal_mm: Sequence[float]) -> list[Content]:
     """Steps with the parts of their uncertainty, one sigma each; what should be beside it where it was said."""
-    nominal = _nominal(evaluation, nominal_mm)
     return [
         {
             "name": step.name,
             "measured_mm": step.height_mm,
-            "mean_height_difference_mm": step.mean_height_difference_mm,
+            "mean_height_difference_mm": known_number(step.mean_height_difference_mm),
             "at_mm": list(step.at_mm),
             "uncertainty_um": known_number(step.combined_um),
             "random_um": known_number(step.random_um),
@@ -49,18 +216,17 @@ def steps_content(evaluation: Evaluation, nominal_mm: Sequence[float]) -> list[C
             "nominal_mm": should,
             "deviation_um": None if should is None else 1e3 * (step.height_mm - should),
         }
-        for step, should in zip(evaluation.steps, nominal, strict=True)
+        for step, should in zip(steps, _nominal(steps, nominal_mm), strict=True)
     ]
 
 
-def steps_table(evaluation: Evaluation, nominal_mm: Sequence[float]) -> list[dict[str, object]]:
+def steps_table(chosen: MethodResult, nominal_mm: Sequence[float]) -> list[dict[str, object]]:
     """Rows of the step table; one row without values where there is no step, so that the columns are there."""
-    nominal = _nominal(evaluation, nominal_mm)
-    rows = [_row(step, should) for step, should in zip(evaluation.steps, nominal, strict=True)]
-    return rows or [dict.fromkeys(_COLUMNS)]
+    pairs = zip(chosen.steps, _nominal(chosen.steps, nominal_mm), strict=True)
+    return [_row(step, should) for step, should in pairs] or [dict.fromkeys(_COLUMNS)]
 
 
-def _row(step: Step, nominal_mm: float | None) -> dict[str, object]:
+def _row(step: StepFigures, nominal_mm: float | None) -> dict[str, object]:
     values = (
         step.name, step.height_mm, step.combined_um, step.random_um, step.calibration_um, step.alignment_um,
         step.mean_height_difference_mm, *step.at_mm, nominal_mm,
@@ -69,8 +235,6 @@ def _row(step: Step, nominal_mm: float | None) -> dict[str, object]:
     return dict(zip(_COLUMNS, values, strict=True))
 
 
-def _nominal(evaluation: Evaluation, nominal_mm: Sequence[float]) -> list[float | None]:
+def _nominal(steps: Sequence[StepFigures], nominal_mm: Sequence[float]) -> list[float | None]:
     """Nominal steps beside the measured ones; None for all unless there are as many."""
-    if len(nominal_mm) != len(evaluation.steps):
-        return [None] * len(evaluation.steps)
-    return list(nominal_mm)
+    return list(nominal_mm) if len(nominal_mm) == len(steps) else [None] * len(steps)

@@ -12,6 +12,7 @@ from irpmd_rig.store.record import RunRecord
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Pair = tuple[Finite, Finite]
 
 
@@ -40,10 +41,24 @@ class StageFacts(_Part):
     in_position_mm: Positive = 0.01
 
 
+class ProjectorFacts(_Part):
+    """The projector by its data sheet: size of its pictures, focal length over pixel pitch (20 % off is near enough).
+
+    The paper's LightCommander where nothing is said: 1024 x 768 mirrors of 10.8 um, a lens of 50 mm.
+    """
+
+    size_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (1024, 768)
+    focal_px: Positive = 4630.0
+
+
 class CalibrationFacts(_Part):
-    """How old a calibration may be; None: as old as it likes."""
+    """How old a calibration may be (None: as old as it likes), and the RMS width of the blur in the camera's pictures.
+
+    A lens in focus blurs by about 0.7 px; curved mirrors are corrected for it.
+    """
 
     max_age_days: Positive | None = None
+    blur_px: NotNegative = 0.7
 
 
 class RigFacts(_Part):
@@ -55,6 +70,8 @@ class RigFacts(_Part):
         None where the rig file says nothing; then the runs that need them are refused.
     stage1
         In-position window.
+    projector
+        Nominal.
     calibration
         Rules for calibrations.
     """
@@ -62,6 +79,7 @@ class RigFacts(_Part):
     drawing: DrawingFacts | None = None
     checkerboard: BoardFacts | None = None
     stage1: StageFacts = StageFacts()
+    projector: ProjectorFacts = ProjectorFacts()
     calibration: CalibrationFacts = CalibrationFacts()
 
     def known_drawing(self) -> Drawing:

@@ -24,11 +24,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from irpmd_rig.core import decode, direct_depth
+from irpmd_rig.core import decode
 from irpmd_rig.processing.errors import ProcessingError
 from irpmd_rig.processing.link import HANG_S, MESSAGE_LIMIT_BYTES
-from irpmd_rig.processing.process import Processor
+from irpmd_rig.processing.process import Processor, reported
 from irpmd_rig.processing.values import Progress
+from irpmd_rig.processing.warm_up import warm_up_methods
 from irpmd_rig.store.library import Library
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason
@@ -73,6 +74,7 @@ class Computer:
 
         try:
             done = self._processor.process(folder, self._library, announce)
+            done = reported(done, folder, self._library, announce)
             self._send({"request": request, "done": asdict(done)})
         except ProcessingError as error:
             self._fail(request, type(error).__name__, error.what, error.remedy, error.reason)
@@ -121,8 +123,7 @@ def warm_up(threads: int) -> None:
         frames = (top / 2 * (1 + np.cos(np.broadcast_to(phase, (3, 4, 64, 64))))).astype(kind)
         found = decode(frames, (64, 63, 56), threads=threads)
         decode(frames, (64, 63, 56), threads=threads, out=found)
-    steady = np.ones((4, 4), np.float32)
-    direct_depth(3 * steady, steady, 2 * steady, steady, d_mm=180.0, delta_d_mm=40.0)
+    warm_up_methods()
 
 
 def _listen(connection: Connection, requests: queue.SimpleQueue[bytes]) -> None:

@@ -12,6 +12,8 @@ calibrate-geometry   sprayed mirror, glass, mirror with glass at stage1 = 0     
 reference            reference mirror at the positions of stage1                   `Reference`
 measure              object at the same positions                                  `Measure`
 sequence             show, capture, move, wait, prompt, set in any order           `Sequence`
+align                glass turned by the operator until it is parallel             `Align`
+characterise         gamma, delay, settle, stage-axis, focus or exposure           `Characterise`
 ===================  ============================================================  ======================
 
 Each calibration names the one before it: camera, plate, geometry, reference; a measurement names its geometry and its

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
+from irpmd_rig.recipes.characterise import CharacteriseExposure, CharacteriseFocus
 from irpmd_rig.recipes.document import Document, Problem, nearest, problem_at
 from irpmd_rig.recipes.equipment import Equipment
 from irpmd_rig.recipes.estimate import targets
 from irpmd_rig.recipes.fields import Fringes
-from irpmd_rig.recipes.models import CalibrateCamera, Measure, Recipe, Sequence
+from irpmd_rig.recipes.models import CalibrateCamera, Recipe, Sequence
 from irpmd_rig.recipes.stations import Location, Plan
 from irpmd_rig.recipes.steps import Ask, Set, Show
 
@@ -63,6 +64,8 @@ def _exposures(recipe: Recipe, equipment: Equipment) -> Iterator[Finding]:
     if isinstance(recipe, Sequence):
         steps = enumerate(recipe.steps)
         given += [(("steps", k, "exposure_us"), step.exposure_us) for k, step in steps if isinstance(step, Set)]
+    if isinstance(recipe, CharacteriseExposure):
+        given += [(("exposures_us", k), exposure_us) for k, exposure_us in enumerate(recipe.exposures_us)]
     shortest, longest = equipment.exposure_range_us or (0.0, float("inf"))
     for location, exposure_us in given:
         if isinstance(exposure_us, str):
@@ -90,25 +93,33 @@ def _choices(recipe: Recipe, equipment: Equipment) -> Iterator[Finding]:
 
 
 def _patterns(recipe: Recipe, equipment: Equipment) -> Iterator[Finding]:
+    if isinstance(recipe, CharacteriseFocus):
+        yield from _fitting((), recipe.counts, recipe.steps, ("x",), equipment)
     for location, fringes in _fringes(recipe):
-        for orientation in fringes.orientations:
-            size_px = equipment.projector_size_px
-            across = None if size_px is None else size_px[0] if orientation == "x" else size_px[1]
-            if across is not None and max(fringes.counts) > across / 2:
-                what = f"{max(fringes.counts):g} fringes cannot be shown across {across} pixels along {orientation}"
-                yield (*location, "counts"), what, f"give at most {across // 2}"
-        patterns = len(fringes.counts) * fringes.steps
-        # A white and a black one are loaded beside them.
-        if equipment.pattern_limit is not None and patterns + 2 > equipment.pattern_limit:
-            what = f"{patterns} patterns do not fit into the projector's memory of {equipment.pattern_limit}"
-            yield location, what, "give fewer counts or steps"
+        yield from _fitting(location, fringes.counts, fringes.steps, fringes.orientations, equipment)
+
+
+def _fitting(
+    location: Location, counts: Collection[float], steps: int, orientations: Collection[str], equipment: Equipment
+) -> Iterator[Finding]:
+    for orientation in orientations:
+        size_px = equipment.projector_size_px
+        across = None if size_px is None else size_px[0] if orientation == "x" else size_px[1]
+        if across is not None and max(counts) > across / 2:
+            what = f"{max(counts):g} fringes cannot be shown across {across} pixels along {orientation}"
+            yield (*location, "counts"), what, f"give at most {across // 2}"
+    patterns = len(counts) * steps
+    # A white and a black one are loaded beside them.
+    if equipment.pattern_limit is not None and patterns + 2 > equipment.pattern_limit:
+        what = f"{patterns} patterns do not fit into the projector's memory of {equipment.pattern_limit}"
+        yield location, what, "give fewer counts or steps"
 
 
 def _fringes(recipe: Recipe) -> Iterator[tuple[Location, Fringes]]:
-    if isinstance(recipe, CalibrateCamera):
-        return
     if not isinstance(recipe, Sequence):
-        yield ("fringes",), recipe.fringes
+        fringes = getattr(recipe, "fringes", None)
+        if fringes is not None:
+            yield ("fringes",), fringes
         return
     for index, step in enumerate(recipe.steps):
         if isinstance(step, Show) and step.pattern == "fringes":
@@ -126,14 +137,14 @@ def _scenes(recipe: Recipe, equipment: Equipment) -> Iterator[Finding]:
             f"give at most {poses + 1}",
         )
     asked: list[tuple[Location, str]] = []
-    if isinstance(recipe, Measure):
-        asked.append((("object",), recipe.object))
-    elif isinstance(recipe, Sequence):
+    if isinstance(recipe, Sequence):
         for index, step in enumerate(recipe.steps):
             if isinstance(step, Ask) and step.subject is not None:
                 asked.append((("steps", index, "subject"), step.subject))
                 if poses is not None and step.pose >= poses:
                     yield ("steps", index, "pose"), f"the world's board has {poses} poses", f"give 0 to {poses - 1}"
+    elif (placed := getattr(recipe, "object", None)) is not None:
+        asked.append((("object",), placed))
     for location, subject in asked:
         if subjects is not None and subject not in subjects:
             yield location, f"the world has no {subject!r}", nearest(subject, subjects)

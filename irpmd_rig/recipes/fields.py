@@ -29,6 +29,12 @@ def _run_id(value: str) -> str:
     return value
 
 
+def _named_run(value: str) -> str:
+    if not _ID.fullmatch(value):
+        raise complaint(f"is no id of a run: {value[:40]!r}", "write an id as the list of runs shows it")
+    return value
+
+
 def _label(value: str) -> str:
     if not _LABEL.fullmatch(value):
         raise complaint(
@@ -75,6 +81,9 @@ Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_one_l
 Label = Annotated[str, AfterValidator(_label)]
 RunId = Annotated[str, AfterValidator(_run_id)]
 """Id of a run, or ``active``: the one that the operator activated."""
+
+NamedRun = Annotated[str, AfterValidator(_named_run)]
+"""Id of a run."""
 
 Millimetres = Annotated[float, Field(ge=-1000, le=1000)]
 Seconds = Annotated[float, Field(ge=0, le=3600)]

@@ -2,61 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
-from irpmd_rig.recipes.document import Settings, complaint
-from irpmd_rig.recipes.fields import ExposureUs, Fringes, Light, Millimetres, Name, PositionsMm, RunId, Settle
+from irpmd_rig.recipes.align import Align
+from irpmd_rig.recipes.base import RecipeBase
+from irpmd_rig.recipes.characterise import CHARACTERISED, Characterise, Characterised
+from irpmd_rig.recipes.document import complaint
+from irpmd_rig.recipes.fields import Fringes, Millimetres, Name, PositionsMm, RunId
 from irpmd_rig.recipes.steps import Capture, Step
 
+Method = Literal["depth-equation", "generalised", "triangulation", "facets"]
 Positions = Annotated[PositionsMm, Field(min_length=2, max_length=20)]
+GeometryPositions = Annotated[PositionsMm, Field(min_length=1, max_length=20)]
 PlatePositions = Annotated[PositionsMm, Field(min_length=4, max_length=200)]
-
-
-class RecipeBase(Settings):
-    """What every recipe may say.
-
-    Attributes
-    ----------
-    name : str
-        What the run is called: one line, at most 100 characters.
-    operator : str or None
-        Who runs it.
-    sample : str or None
-        Id of the sample.
-    notes : str
-        Anything worth keeping, several lines if wanted; at most 5000 characters.
-    nominal_steps_mm : list of float
-        Heights in millimetres of the object's steps as they should be, in order: reported beside the measured ones.
-    light : mapping or None
-        ``led`` and ``intensity`` of the projector (`irpmd_rig.recipes.fields.Light`); without it the rig's.
-    exposure_us : float or "auto"
-        Exposure time of the camera in microseconds, above 0 and at most 10 000 000; ``auto`` measures at each station
-        what does not saturate.
-    pixel_format : str
-        ``Mono8`` or ``Mono10``: bits of a pixel.
-    trigger : str or None
-        ``hardware``: the projector's sync output triggers the camera; ``software``: each frame is asked for; without it
-        the rig's.
-    settle : mapping, "measured" or None
-        ``time_s``: seconds to wait after a motion beside the stage's own settle time; ``measured``: wait until
-        successive frames no longer differ.
-    retries : int
-        How often a set of frames that is dropped, late, stale or saturated is taken again; 0 to 10.
-    """
-
-    name: Name
-    operator: Name | None = None
-    sample: Name | None = None
-    notes: Annotated[str, Field(max_length=5000)] = ""
-    nominal_steps_mm: Annotated[tuple[Millimetres, ...], Field(max_length=100)] = ()
-    light: Light | None = None
-    exposure_us: ExposureUs = "auto"
-    pixel_format: Literal["Mono8", "Mono10"] = "Mono8"
-    trigger: Literal["hardware", "software"] | None = None
-    settle: Settle | Literal["measured"] | None = None
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
 
 
 class CalibrateCamera(RecipeBase):
@@ -99,7 +60,7 @@ class CalibratePlate(RecipeBase):
 
 
 class CalibrateGeometry(RecipeBase):
-    """Reference plane, glass plane and their distance from the sprayed mirror at stage1 = 0.
+    """Reference plane, glass plane and their distance from the sprayed mirror; the whole rig from several positions.
 
     Attributes
     ----------
@@ -107,12 +68,17 @@ class CalibrateGeometry(RecipeBase):
         ``calibrate-geometry``.
     fringes : mapping
         Patterns (`irpmd_rig.recipes.fields.Fringes`); counts as in the calibration of the plate.
+    positions_mm : list of float
+        Positions s of stage1 in millimetres, 1 to 20, at least 0.1 apart. The paper's planes and d are taken at the
+        first. From two on, camera, glass, stage axis and projector are calibrated together (the rig model), which every
+        method but the depth equation needs: the glass is seen best at positions toward it (below 0).
     calibration : str
         The calibration of the plate to use: the id of a run, or ``active``.
     """
 
     kind: Literal["calibrate-geometry"]
     fringes: Fringes = Fringes()
+    positions_mm: GeometryPositions = (0.0, -40.0, -80.0, 40.0)
     calibration: RunId = "active"
 
 
@@ -138,16 +104,14 @@ class Reference(RecipeBase):
     calibration: RunId = "active"
 
 
-def _two(positions_mm: tuple[float, ...]) -> tuple[float, ...]:
-    if len(positions_mm) > 2:
-        raise complaint(
-            f"has {len(positions_mm)} positions; the depth equation takes two", "leave out all but two", (2,)
-        )
-    return positions_mm
+def _different(methods: tuple[Method, ...]) -> tuple[Method, ...]:
+    if len(set(methods)) < len(methods):
+        raise complaint("names a method twice", "name each once")
+    return methods
 
 
 class Measure(RecipeBase):
-    """Depth of an object from its fringes at two stage positions.
+    """Depth of an object from its fringes at two or more stage positions.
 
     Attributes
     ----------
@@ -156,25 +120,53 @@ class Measure(RecipeBase):
     object : str
         What is measured, as the operator is asked to place it; on a simulated rig the name of an object of its world.
     fringes : mapping
-        Patterns (`irpmd_rig.recipes.fields.Fringes`); counts as in the reference.
+        Patterns (`irpmd_rig.recipes.fields.Fringes`); counts as in the calibrations. With orientations ``[x, y]`` the
+        ray methods use both.
     positions_mm : list of float
-        The two positions s of stage1 in millimetres, at least 0.1 apart: 0 is the reference position, + is away from
-        the glass. The reference must have the same.
+        Positions s of stage1 in millimetres, 2 to 20, at least 0.1 apart: 0 is the reference position, + is away from
+        the glass. The depth equation takes two; it and the generalised equation need a reference at the same ones.
     calibration : str
         The calibration of the geometry to use: the id of a run, or ``active``.
     reference : str
-        The reference to use: the id of a run, or ``active``.
+        The reference to use, where the method needs one: the id of a run, or ``active``.
     method : str
-        ``depth-equation``: the paper's.
+        ``depth-equation``: the paper's. ``generalised``: the same with the calibrated points of the glass.
+        ``triangulation``: where camera ray and incident ray meet, pixel by pixel. ``facets``: planes and smooth
+        surfaces through all phases of each facet. ``auto``: facets where the calibration has a rig model, else the
+        depth equation.
+    phase_filter : bool
+        Whether the depth equation's phases are filtered first, each pixel with its neighbours on the same facet.
+    compare : list of str
+        More methods, computed beside the chosen one; what cannot be computed is said in the result.
+    max_chi2 : float
+        Largest chi2 per degree of freedom of the rig model with which it may be used, and up to which normals are
+        trusted in the facets; 1 is a model that explains the data, above 1 to 1000.
+    if_calibration_is_off : str
+        A calibration too old for the rig file, of another camera, or above ``max_chi2``: ``refuse`` the run, or
+        ``mark`` the result.
     """
 
     kind: Literal["measure"]
     object: Name
     fringes: Fringes = Fringes()
-    positions_mm: Annotated[Positions, AfterValidator(_two)] = (0.0, 40.0)
+    positions_mm: Positions = (0.0, 40.0)
     calibration: RunId = "active"
     reference: RunId = "active"
-    method: Literal["depth-equation"] = "depth-equation"
+    method: Literal["auto", "depth-equation", "generalised", "triangulation", "facets"] = "auto"
+    phase_filter: bool = False
+    compare: Annotated[tuple[Method, ...], Field(max_length=4), AfterValidator(_different)] = ()
+    max_chi2: Annotated[float, Field(gt=1, le=1000)] = 4.0
+    if_calibration_is_off: Literal["refuse", "mark"] = "refuse"
+
+    @model_validator(mode="after")
+    def _two_for_the_depth_equation(self) -> Self:
+        if self.method == "depth-equation" and len(self.positions_mm) > 2:
+            raise complaint(
+                f"has {len(self.positions_mm)} positions; the depth equation takes two",
+                "leave out all but two, or choose another method",
+                ("positions_mm", 2),
+            )
+        return self
 
 
 def _captures(steps: tuple[Step, ...]) -> tuple[Step, ...]:
@@ -201,16 +193,23 @@ class Sequence(RecipeBase):
     steps: Annotated[tuple[Step, ...], Field(min_length=1, max_length=1000), AfterValidator(_captures)]
 
 
-Recipe = CalibrateCamera | CalibratePlate | CalibrateGeometry | Reference | Measure | Sequence
+Recipe = CalibrateCamera | CalibratePlate | CalibrateGeometry | Reference | Measure | Sequence | Align | Characterised
 
-KINDS: dict[str, type[Recipe]] = {
+KINDS: dict[str, type[RecipeBase]] = {
     "calibrate-camera": CalibrateCamera,
     "calibrate-plate": CalibratePlate,
     "calibrate-geometry": CalibrateGeometry,
     "reference": Reference,
     "measure": Measure,
     "sequence": Sequence,
+    "align": Align,
+    "characterise": Characterise,
 }
 
-LATER = ("align", "characterise")
-"""Kinds that are planned and refused until they can be run."""
+
+def model_of(values: Mapping[str, object]) -> type[RecipeBase]:
+    """Model of what a recipe says that is of a known ``kind``: of a characterise it depends on ``what``, too."""
+    kind, what = values.get("kind"), values.get("what")
+    if kind == "characterise" and isinstance(what, str) and what in CHARACTERISED:
+        return CHARACTERISED[what]
+    return KINDS[str(kind)]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Literal, assert_never
+from typing import Literal
 
+from irpmd_rig.recipes.align import Align
+from irpmd_rig.recipes.characterise import Characterised
 from irpmd_rig.recipes.check import check
 from irpmd_rig.recipes.equipment import Axis, Equipment
 from irpmd_rig.recipes.estimate import Estimate, estimate
@@ -19,7 +21,9 @@ from irpmd_rig.recipes.models import (
     Reference,
     Sequence,
 )
-from irpmd_rig.recipes.stations import Location, Orientation, Plan, Prompt, Role, Scene, Shot, Station
+from irpmd_rig.recipes.placing import REFERENCE_MM, glass_and_mirror, station, uniform
+from irpmd_rig.recipes.preparation import alignment, characterisation
+from irpmd_rig.recipes.stations import Orientation, Plan, Prompt, Role, Scene, Shot, Station
 
 __all__ = [
     "REFERENCE_MM",
@@ -37,9 +41,6 @@ __all__ = [
     "estimate",
     "plan",
 ]
-
-REFERENCE_MM = 0.0
-"""Stage1 during calibration, in millimetres: frame M is defined there."""
 
 
 def plan(recipe: Recipe) -> Plan:
@@ -61,13 +62,21 @@ def plan(recipe: Recipe) -> Plan:
     if isinstance(recipe, Sequence):
         return Plan(free_stations(recipe, wait_s, settle))
     stations = (
-        replace(station, index=index, exposure_us=recipe.exposure_us, wait_s=wait_s, settle=settle)
-        for index, station in enumerate(_stations(recipe))
+        replace(
+            found,
+            index=index,
+            exposure_us=recipe.exposure_us if found.exposure_us == "auto" else found.exposure_us,
+            wait_s=wait_s,
+            settle=settle,
+        )
+        for index, found in enumerate(_stations(recipe))
     )
     return Plan(tuple(stations))
 
 
-def _stations(recipe: CalibrateCamera | CalibratePlate | CalibrateGeometry | Reference | Measure) -> Iterable[Station]:
+def _stations(
+    recipe: CalibrateCamera | CalibratePlate | CalibrateGeometry | Reference | Measure | Align | Characterised,
+) -> Iterable[Station]:
     if isinstance(recipe, CalibrateCamera):
         return _boards(recipe)
     if isinstance(recipe, CalibratePlate):
@@ -75,24 +84,12 @@ def _stations(recipe: CalibrateCamera | CalibratePlate | CalibrateGeometry | Ref
     if isinstance(recipe, CalibrateGeometry):
         return _geometry(recipe)
     if isinstance(recipe, Reference):
-        return _reference(recipe)
+        return glass_and_mirror(recipe.fringes, recipe.positions_mm)
     if isinstance(recipe, Measure):
         return _object(recipe)
-    assert_never(recipe)
-
-
-def _station(
-    label: str,
-    shots: Iterable[Shot],
-    prompt: Prompt | None,
-    stage1_mm: float = REFERENCE_MM,
-    stage2_mm: float | None = None,
-    source: Location = (),
-) -> Station:
-    """Make a station that the caller numbers and sets the exposure of."""
-    taken = tuple(shots)
-    lit = any(shot.role != "plain" for shot in taken)
-    return Station(0, label, prompt, stage1_mm, stage2_mm, "auto", lit, taken, source=source)
+    if isinstance(recipe, Align):
+        return alignment(recipe)
+    return characterisation(recipe)
 
 
 def _boards(recipe: CalibrateCamera) -> Iterator[Station]:
@@ -103,21 +100,21 @@ def _boards(recipe: CalibrateCamera) -> Iterator[Station]:
             f"whole in the picture, tilted, and unlike the poses before."
         )
         scene = Scene("board", pose, glass=False, lamp=True)
-        yield _station("board", [Shot("plain", "board", view=pose)], Prompt(text, scene))
+        yield station("board", [Shot("plain", "board", view=pose)], Prompt(text, scene))
     text = (
         f"Lay the checkerboard flat on the white plate of stage2, which goes to {recipe.plate_mm:g} mm; no ground "
         f"glass, lamp on."
     )
     scene = Scene("board_on_plate", glass=False, lamp=True)
     last = Shot("plain", "board", view=free)
-    yield _station("board", [last], Prompt(text, scene), stage2_mm=recipe.plate_mm, source=("plate_mm",))
+    yield station("board", [last], Prompt(text, scene), stage2_mm=recipe.plate_mm, source=("plate_mm",))
 
 
 def _plates(recipe: CalibratePlate) -> Iterator[Station]:
     text = "Put the white plate on stage2, nothing on it; no ground glass, lamp off."
     prompt = Prompt(text, Scene("plate", glass=False))
     for index, position_mm in enumerate(recipe.positions_mm):
-        yield _station(
+        yield station(
             "plate",
             shots_of(recipe.fringes, "plate"),
             prompt if index == 0 else None,
@@ -129,20 +126,9 @@ def _plates(recipe: CalibratePlate) -> Iterator[Station]:
 def _geometry(recipe: CalibrateGeometry) -> Iterator[Station]:
     """The sprayed mirror is found without glass, the glass without mirror: each by what then is lit."""
     text = "Put the sprayed mirror on the object support; no ground glass, lamp off."
-    yield _station("sprayed", _uniform("sprayed"), Prompt(text, Scene("mirror", glass=False)))
-    yield _station("glass", _uniform("glass"), _EMPTY)
-    yield _station("mirror", shots_of(recipe.fringes, "mirror"), _MIRROR)
-
-
-def _reference(recipe: Reference) -> Iterator[Station]:
-    """Where the glass is seen directly is known from frames without mirror, at each position."""
-    for index, position_mm in enumerate(recipe.positions_mm):
-        prompt = _EMPTY if index == 0 else None
-        yield _station("glass", _uniform("glass"), prompt, position_mm, source=("positions_mm", index))
-    for index, position_mm in enumerate(recipe.positions_mm):
-        prompt = _MIRROR if index == 0 else None
-        shots = shots_of(recipe.fringes, "mirror")
-        yield _station("mirror", shots, prompt, position_mm, source=("positions_mm", index))
+    prompt = Prompt(text, Scene("mirror", glass=False))
+    yield station("sprayed", uniform("sprayed"), prompt, recipe.positions_mm[0], source=("positions_mm", 0))
+    yield from glass_and_mirror(recipe.fringes, recipe.positions_mm)
 
 
 def _object(recipe: Measure) -> Iterator[Station]:
@@ -151,18 +137,4 @@ def _object(recipe: Measure) -> Iterator[Station]:
     for index, position_mm in enumerate(recipe.positions_mm):
         shots = shots_of(recipe.fringes, "object")
         source = ("positions_mm", index)
-        yield _station("object", shots, prompt if index == 0 else None, position_mm, source=source)
-
-
-def _uniform(label: str) -> tuple[Shot, ...]:
-    return (Shot("white", label), Shot("black", label))
-
-
-_EMPTY = Prompt(
-    "Clear the object support and put the ground glass in place; lamp off.",
-    Scene("nothing"),
-)
-_MIRROR = Prompt(
-    "Put the sprayed mirror on the object support; ground glass in place, lamp off.",
-    Scene("mirror"),
-)
+        yield station("object", shots, prompt if index == 0 else None, position_mm, source=source)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 from pydantic import ConfigDict
 
+from irpmd_rig.recipes.base import RecipeBase
 from irpmd_rig.recipes.document import (
     Document,
     DocumentError,
@@ -15,7 +17,7 @@ from irpmd_rig.recipes.document import (
     parse_document,
     problem_at,
 )
-from irpmd_rig.recipes.models import KINDS, LATER, Recipe, RecipeBase
+from irpmd_rig.recipes.models import KINDS, Recipe, model_of
 
 
 def read_recipe(source: str | Path, name: str | None = None) -> tuple[Recipe, Document]:
@@ -41,13 +43,11 @@ def read_recipe(source: str | Path, name: str | None = None) -> tuple[Recipe, Do
     document = parse_document(source, name)
     kind = document.values.get("kind")
     if isinstance(kind, str) and kind in KINDS:
-        return check_document(document, KINDS[kind]), document
+        return cast(Recipe, check_document(document, model_of(document.values))), document
     if kind is not None and not isinstance(kind, str):
         what, remedy = "'kind' must be text", "use one of " + ", ".join(KINDS)
     elif kind is None:
         what, remedy = "'kind' is missing", "add kind: " + ", ".join(KINDS)
-    elif kind in LATER:
-        what, remedy = f"recipes of kind {kind} cannot be run yet", "use one of " + ", ".join(KINDS)
     else:
         what, remedy = f"there is no kind {kind!r}"[:100], nearest(kind, KINDS)
     if document.refused(("kind",)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Role = Literal["fringes", "white", "black", "plain"]
+Role = Literal["fringes", "white", "black", "plain", "switched", "series"]
 Orientation = Literal["x", "y"]
 Location = tuple[str | int, ...]
 
@@ -25,12 +25,15 @@ class Scene:
         Whether the ground glass is in place.
     lamp : bool
         Whether the room's lamp lights the scene.
+    turn_deg : tuple of float or None
+        By how much the ground glass is to be turned by its screws, about x and about y, from where it is.
     """
 
     subject: str
     pose: int = 0
     glass: bool = True
     lamp: bool = False
+    turn_deg: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,8 @@ class Shot:
     ----------
     role : str
         ``fringes``: all sets and steps; ``white``, ``black``: one frame of a uniform picture; ``plain``: one frame with
-        the projector dark.
+        the projector dark; ``switched``: one frame a time after the order to go from black to white; ``series``: frames
+        of the first of the fringes, one after the other, from the moment at which the stage has arrived.
     label : str
         What the frames are for, e.g. ``plate``: processing finds them by it.
     counts : tuple of float
@@ -67,7 +71,11 @@ class Shot:
     orientation : str
         ``x``: the phase grows along the projector's columns; ``y``: along its rows.
     view : int or None
-        Number of the view (a board's pose); None where there is only one.
+        Number of the view (a board's pose, an exposure, a delay); None where there is only one.
+    repeats : int
+        Number of frames of a series.
+    delay_s : float
+        Of a switched picture: when its frame is taken.
     """
 
     role: Role
@@ -76,11 +84,13 @@ class Shot:
     steps: int = 0
     orientation: Orientation = "x"
     view: int | None = None
+    repeats: int = 1
+    delay_s: float = 0.0
 
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return len(self.counts) * self.steps if self.role == "fringes" else 1
+        return len(self.counts) * self.steps if self.role == "fringes" else self.repeats
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +119,8 @@ class Station:
         ``timed``: wait_s is all; ``measured``: go on only when two successive frames differ by no more than noise.
     source : tuple
         Path of keys and indices in the recipe that asked for it, for messages.
+    decides : bool
+        Whether what is computed from the frames so far decides if the run goes on, and what is asked before it does.
     """
 
     index: int
@@ -122,6 +134,7 @@ class Station:
     wait_s: float = 0.0
     settle: Literal["timed", "measured"] = "timed"
     source: Location = ()
+    decides: bool = False
 
     @property
     def frames(self) -> int:
@@ -145,6 +158,11 @@ class Plan:
     def frames(self) -> int:
         """Number of frames that are kept."""
         return sum(station.frames for station in self.stations)
+
+    @property
+    def steered(self) -> bool:
+        """Whether its own results decide how it goes on."""
+        return any(station.decides for station in self.stations)
 
     @property
     def needs_operator(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-Role = Literal["fringes", "white", "black", "plain"]
+Role = Literal["fringes", "white", "black", "plain", "switched", "series"]
 Orientation = Literal["x", "y"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -30,13 +30,14 @@ class ManifestEntry(BaseModel):
     label
         What stood before the camera: board, plate, sprayed, glass, mirror, object.
     role
-        fringes, white, black or plain (no pattern).
+        fringes, white, black, plain (no pattern), switched (a time after black became white) or series (frames of one
+        pattern, one after the other).
     orientation
         Along which projector axis the fringes vary.
     set, step
         Fringe set and phase step, from 0; None if the frame is no fringe.
     view
-        Number of a board's pose.
+        Number of a board's pose, of an exposure or of a delay.
     counts, steps
         Fringe counts of the whole measurement (periods across the projector) and phase steps a set. A line without
         them gets those of `run.yaml`.

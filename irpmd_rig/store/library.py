@@ -14,6 +14,8 @@ from irpmd_rig.store.store import Store
 
 ACTIVE = "active"
 REFERENCE = "reference"
+CALIBRATION = "calibration.json"
+"""What a calibration or reference found, among its results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +70,15 @@ class Library:
         """Usable references, newest first."""
         return self._items((REFERENCE,))
 
-    def activate(self, run_id: str) -> LibraryItem:
+    def activate(self, run_id: str, kinds: Collection[str] = (*CALIBRATIONS, REFERENCE)) -> LibraryItem:
         """Make a calibration or reference the active one of its kind; it is on disk when this returns.
+
+        Parameters
+        ----------
+        run_id
+            Which.
+        kinds
+            What it may be.
 
         Raises
         ------
@@ -78,7 +87,7 @@ class Library:
         NotUsable
             If it has not succeeded, or is of another kind.
         """
-        folder = self._usable(run_id, (*CALIBRATIONS, REFERENCE))
+        folder = self._usable(run_id, kinds)
         self._store.active.set(folder.record().kind, run_id)
         return _item(folder, active=True)
 
@@ -123,7 +132,16 @@ class Library:
             if run.kind in kinds and run.state is RunState.SUCCEEDED
         )
 
-    def _usable(self, run_id: str, kinds: Collection[str]) -> RunFolder:
+    def succeeded(self, run_id: str, kinds: Collection[str]) -> RunFolder:
+        """Give a run that succeeded and is of one of these kinds.
+
+        Raises
+        ------
+        RunNotFound
+            If there is no such run.
+        NotUsable
+            If it has not succeeded, or is of another kind.
+        """
         folder = self._store.run(run_id)
         try:
             kind, last = folder.record().kind, folder.state()
@@ -133,6 +151,13 @@ class Library:
             raise NotUsable(f"run {run_id} is a {kind}, not a {' or '.join(kinds)}")
         if last is None or last.state is not RunState.SUCCEEDED:
             raise NotUsable(f"run {run_id} has not succeeded: it is {last.state if last else 'without a state'}")
+        return folder
+
+    def _usable(self, run_id: str, kinds: Collection[str]) -> RunFolder:
+        folder = self.succeeded(run_id, kinds)
+        if CALIBRATION not in folder.results.names():
+            what = f"run {run_id}, a {folder.record().kind}, has no {CALIBRATION} among its results"
+            raise NotUsable(f"{what}: compute it again, or take another")
         return folder
 
 

@@ -17,7 +17,16 @@ from irpmd_rig.store.durable import write_text
 from irpmd_rig.store.entries import Count, Finite
 from irpmd_rig.store.errors import RunFolderError, all_problems
 
-Kind = Literal["measure", "reference", "calibrate-camera", "calibrate-plate", "calibrate-geometry", "sequence"]
+Kind = Literal[
+    "measure",
+    "reference",
+    "calibrate-camera",
+    "calibrate-plate",
+    "calibrate-geometry",
+    "sequence",
+    "align",
+    "characterise",
+]
 KINDS: tuple[str, ...] = get_args(Kind)
 CALIBRATIONS: tuple[str, ...] = ("calibrate-camera", "calibrate-plate", "calibrate-geometry")
 

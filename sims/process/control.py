@@ -4,7 +4,8 @@ A request is a JSON object on one line, ``{"call": "place", "subject": "plate"}`
 with what was asked for, or ``ok`` false with an ``error``. The calls:
 
 - ``hello``: the world, how its instruments are reached, and what a lab would know about them.
-- ``place`` (subject, pose), ``glass`` (present), ``lamp`` (on): what people do by hand.
+- ``place`` (subject, pose), ``glass`` (present), ``turn_glass`` (about_x_deg, about_y_deg: from where it is), ``lamp``
+  (on): what people do by hand.
 - ``state``: what the hardware is doing, truly.
 - ``fault`` (name and its arguments), ``fault_names``, ``injected``: faults, and the record of them.
 - ``faults`` (seed, rate_per_s, names): switch random faults on; without a seed, switch whatever script runs off.
@@ -72,6 +73,7 @@ class Control:
                 ("hello", self._hello),
                 ("place", self._place),
                 ("glass", self._glass),
+                ("turn_glass", self._turn_glass),
                 ("lamp", self._lamp),
                 ("state", self._state),
                 ("faults", self._switch_script),
@@ -136,6 +138,10 @@ class Control:
         self._instruments.physics.set_glass(present)
         return {}
 
+    def _turn_glass(self, about_x_deg: float, about_y_deg: float) -> Answer:
+        self._instruments.physics.turn_glass(about_x_deg, about_y_deg)
+        return {}
+
     def _lamp(self, on: bool) -> Answer:
         self._instruments.physics.set_lamp(on)
         return {}
@@ -166,6 +172,7 @@ class Control:
             "subject": subject.name,
             "pose": subject.pose,
             "glass": subject.glass,
+            "glass_turn_deg": subject.glass_turn_deg,
             "lamp": subject.lamp,
         }
 

@@ -20,7 +20,7 @@ from sims.process.pictures import Pictures
 from sims.process.replay import Image, Recording
 from sims.projector.player import Player
 from sims.render import exposure, render
-from sims.setup import Setup
+from sims.setup import Setup, turned_glass
 from sims.surfaces import SUBJECTS
 
 if TYPE_CHECKING:
@@ -38,12 +38,13 @@ _REPLAY_DIGITS = 3
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What people put in place, and whether the lamp is on; `pose` is that of the free board."""
+    """What people put in place, how they turned the glass, whether the lamp is on; `pose` is the free board's."""
 
     name: str = "mirror"
     pose: int = 0
     glass: bool = True
     lamp: bool = False
+    glass_turn_deg: tuple[float, float] = (0.0, 0.0)
 
 
 class Places(NamedTuple):
@@ -125,6 +126,10 @@ class Physics:
         """Put the ground glass in or take it away."""
         self._change(glass=present)
 
+    def turn_glass(self, about_x_deg: float, about_y_deg: float) -> None:
+        """Turn the ground glass by its screws (`sims.rig.SimulatedRig.turn_glass`); raises SimulationError."""
+        self._change(glass_turn_deg=turned_glass(self.subject.glass_turn_deg, about_x_deg, about_y_deg))
+
     def set_lamp(self, on: bool) -> None:
         """Turn the flood light on or off."""
         self._change(lamp=on)
@@ -161,6 +166,7 @@ class Physics:
                 subject.glass,
                 places.stage1_mm * (1 + self.world.stage1.scale_error_ppm * 1e-6),
                 places.stage2_mm,
+                subject.glass_turn_deg,
             )
             light = self.world.lights.infrared if infrared else self.world.lights.visible
             shot = exposure(self.world, light, exposure_us=exposure_us, bits=bits, lamp=subject.lamp, frame=frame)

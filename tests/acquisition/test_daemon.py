@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daemon_world import OWNER, at_rest, began, carried_out, ended, rig_file, served, stations, until
+from daemon_world import OWNER, at_rest, began, carried_out, ended, stations
 
 from drivers.protocols import CameraSettings, Led, LimitReached, Refused
 from irpmd_rig.acquisition.book import ActionRefused, BadKey, KeyReused
@@ -22,6 +22,8 @@ from irpmd_rig.acquisition.safety import StopLatched
 from irpmd_rig.recipes.document import DocumentError
 from irpmd_rig.store.errors import DiskFull, RunInUse, RunNotFound
 from irpmd_rig.store.states import Reason, RunState
+from tests.small_world import rig_file, until
+from tests.small_world import world as served
 
 ASKS = "\n  - {do: prompt, text: Turn the sample round.}\n  - {do: capture, label: turned}\n"
 LONG = "\n  - {do: wait, time_s: 60}\n  - {do: capture, label: late}\n"

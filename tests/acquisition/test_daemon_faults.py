@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import pytest
-from daemon_world import OWNER, STATION, at_rest, began, carried_out, ended, rig_file, served, stations, until
+from daemon_world import OWNER, STATION, at_rest, began, carried_out, ended, stations
 
 from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RecipeText, RigDaemon
 from irpmd_rig.acquisition.rig import DeviceCondition
 from irpmd_rig.store.states import Reason, RunState
+from tests.small_world import rig_file, until
+from tests.small_world import world as served
 
 STAGE = {"stage": "stage1"}
 ASK = "\n  - {do: prompt, text: Now.}\n"

@@ -10,20 +10,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from daemon_world import OWNER, at_rest, began, ended, rig_file, served, stations, until
+from daemon_world import OWNER, at_rest, began, ended, stations
 
 from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RigDaemon
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason, RunState
+from tests.small_world import rig_file, until
+from tests.small_world import world as served
 
 PLACES_MM = tuple(range(0, 60, 6))
 PROGRAM = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[3])
-from daemon_world import rig_file, stations
+from daemon_world import stations
 from irpmd_rig.acquisition.daemon import RigDaemon
+from tests.small_world import rig_file
 daemon = RigDaemon(rig_file(Path(sys.argv[1]), Path(sys.argv[2])))
 daemon.start()
 status, _ = daemon.submit(stations(*PLACES_MM, pattern="fringes"), "the key")

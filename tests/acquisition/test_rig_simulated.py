@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -17,7 +18,7 @@ from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.errors import SimulationError
 from irpmd_rig.acquisition.rig import DeviceCondition, Rig
 from irpmd_rig.acquisition.rig_file import RigFile, read_rig
-from irpmd_rig.acquisition.simulated import attach, default_folder, running_world, serve_command
+from irpmd_rig.acquisition.simulated import attach, clear_stale_worlds, default_folder, running_world, serve_command
 from irpmd_rig.recipes.plan import Scene
 from irpmd_rig.shipped import CONFIGS, world_file
 
@@ -139,10 +140,15 @@ def test_a_private_world_is_replaced_and_ends_with_its_rig_and_leaves_nothing():
     private = Rig(small(private=True, size_px=64, time_scale=20))
     private.open()
     assert {s.state for s in private.devices.values()} == {DeviceCondition.READY}
-    # A world that dies is started again by the first instrument that is opened again.
+    # A world that dies is said to be why, and is started again by the first instrument that is opened again.
     first = private.operator.control.hello()
     os.kill(first["pid"], signal.SIGKILL)
-    assert private.refresh()["projector"].state is not DeviceCondition.READY
+    while not private.operator.control.has_ended():
+        time.sleep(0.01)
+    assert {(s.state, s.detail) for s in private.refresh().values()} == {
+        (DeviceCondition.MISSING, "the simulated world has ended")
+    }
+    assert all(stage.state().position is None for stage in private.stages.values())
     assert {private.reopen(name).state for name in private.devices} == {DeviceCondition.READY}
     hello = private.operator.control.hello()
     private.close()
@@ -167,6 +173,26 @@ def test_a_private_world_ends_when_its_parent_is_killed():
         pid = int(parent.stdout.readline())
         parent.send_signal(signal.SIGKILL)
     assert gone(pid, 5.0)
+
+
+def test_what_killed_programs_left_is_cleared_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    old, starting, running, other = (
+        tmp_path / name for name in ("irpmd-world-a", "irpmd-world-b", "irpmd-world-c", "d")
+    )
+    for folder in (old, starting, running, other):
+        folder.mkdir()
+    (old / "usb.sock").touch()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+        listener.bind(str(running / "control.sock"))
+        listener.listen()
+        for folder in (old, running, other):
+            os.utime(folder, (0.0, 0.0))
+        clear_stale_worlds()
+        assert sorted(tmp_path.iterdir()) == [other, starting, running]
+    os.utime(running, (0.0, 0.0))
+    clear_stale_worlds()
+    assert sorted(tmp_path.iterdir()) == [other, starting]
 
 
 def test_a_world_that_does_not_hold_is_told_in_its_own_words(tmp_path):

@@ -29,7 +29,7 @@ from irpmd_rig.acquisition.sequencer import Sequencer, Surroundings
 from irpmd_rig.core.quality import FrameReport
 from irpmd_rig.recipes.equipment import Equipment
 from irpmd_rig.recipes.estimate import estimate
-from irpmd_rig.recipes.plan import Scene, plan
+from irpmd_rig.recipes.plan import Prompt, Scene, plan
 from irpmd_rig.recipes.reading import read_recipe
 from irpmd_rig.store.record import RunRecord
 from irpmd_rig.store.states import Reason, RunState, Transition
@@ -82,7 +82,7 @@ class PhotographerFake:
         self.log, self.stage, self.faulty = log, stage, faulty
         self.during: list[Any] = []
 
-    def expose(self, role: str, exposure_us: float | str) -> float:
+    def expose(self, role: str = "white", exposure_us: float | str = "auto") -> float:
         self.log.append(f"expose {role} {exposure_us}")
         return 1000.0
 
@@ -97,6 +97,9 @@ class PhotographerFake:
         self.log.append(f"move {position_mm:g}")
         self.stage.at_mm = position_mm
         return Position(position_mm, measured=True)
+
+    def prepare_fringes(self, *_: object) -> None:
+        self.log.append(f"prepare on the way to {self.stage.at_mm:g}")
 
     def take_fringes(self, counts: tuple[float, ...], steps: int, _: str) -> FringeFrames:
         self.log.append(f"fringes at {self.stage.at_mm:g}")
@@ -154,6 +157,7 @@ class Bench:
         made = store.create_run(RunRecord(kind="sequence"), Transition(RunState.QUEUED, order=1))
         self.run = Run(made, recipe, laid_out, estimate(recipe, laid_out, Equipment()), EventLog())
         self.done: list[int] = []
+        self.asked: list[Prompt | None] = []
         self.person: Callable[[], object] = lambda: None
         self.run.become(RunState.PREPARING)
         self.run.become(RunState.RUNNING)
@@ -165,7 +169,13 @@ class Bench:
         yield
 
     def execute(self, first: int = 0, prompt_limit_s: float = 5.0) -> None:
-        around = Surroundings(lambda: self.photographer, self.at_ease, self.done.append, prompt_limit_s)  # type: ignore[arg-type, return-value]
+        around = Surroundings(
+            lambda: self.photographer,  # type: ignore[arg-type, return-value]
+            self.at_ease,
+            self.done.append,
+            lambda: self.asked.pop(0) if self.asked else None,
+            prompt_limit_s,
+        )
         Sequencer(self.rig, self.run, around).execute(first)  # type: ignore[arg-type]
 
     @property
@@ -179,6 +189,7 @@ def test_frames_are_checked_and_written_while_the_stage_goes_on(tmp_path: Path) 
     assert bench.log == [
         "arrange mirror",
         "move 10", "expose white 1000.0", "fringes at 10", "begin 20", "good",
+        "expose white 1000.0", "prepare on the way to 20",
         "wait", "move 20", "expose white 1000.0", "fringes at 20", "good",
     ]  # fmt: skip
     assert bench.done == [0, 1]
@@ -197,6 +208,26 @@ def test_a_station_whose_frames_are_faulty_is_taken_again_at_its_own_place(tmp_p
     ]  # fmt: skip
     # Nothing of the faulty set is on disk, and every frame of the station is of one motion.
     assert bench.kept == [(0, k, 10.0) for k in (0, 0, 0, 1, 1, 1)] + [(1, k, 20.0) for k in (0, 0, 0, 1, 1, 1)]
+
+
+def test_nothing_is_prepared_where_the_exposure_is_measured_first(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TWO)
+    recipe, _ = read_recipe(HEAD.replace("exposure_us: 1000.0\n", "") + TWO)
+    bench.run.plan = plan(recipe)
+    bench.execute()
+    assert not any(entry.startswith("prepare") for entry in bench.log)
+
+
+def test_a_wait_is_told(tmp_path: Path) -> None:
+    bench = Bench(
+        tmp_path,
+        TWO.replace("  - {do: capture, label: far}", "  - {do: wait, time_s: 0.01}\n  - {do: capture, label: far}"),
+    )
+    told: list[str] = []
+    doing = bench.run.doing
+    bench.run.doing = lambda what: (told.append(what), doing(what))[1]  # type: ignore[method-assign]
+    bench.execute()
+    assert "far: waits 0.01 s" in told
 
 
 def test_faulty_frames_end_the_run_after_a_bounded_number_of_attempts(tmp_path: Path) -> None:

@@ -62,7 +62,10 @@ def test_it_computes_what_the_program_itself_would(worker, chain, folders):
     done = worker.process(folder.path, told.append)
     ours = chain.processed["measure"]
     assert done.uses == ours.uses
-    assert set(done.files) == set(ours.files) == set(folder.results.names())
+    assert set(done.files) == set(folder.results.names())
+    # And the report, with its figures.
+    assert done.files[: len(ours.files)] == ours.files
+    assert {name.rpartition(".")[2] for name in done.files[len(ours.files) :]} == {"svg", "html"}
     assert done.summary["steps_mm"] == pytest.approx(ours.summary["steps_mm"], abs=1e-9)
     assert told[-1].fraction == 1
 
@@ -73,7 +76,7 @@ def test_what_is_wrong_with_a_run_is_told_and_the_process_goes_on(worker, tmp_pa
         worker.process(tmp_path)
     assert caught.value.reason is Reason.RECONSTRUCTION_FAILED
     (tmp_path / "run.yaml").write_text("kind: measure\n")
-    with pytest.raises(FramesUnusable, match="labelled 'object' along x; measure again") as caught:
+    with pytest.raises(FramesUnusable, match=r"has no manifest\.jsonl") as caught:
         worker.process(tmp_path)
     assert caught.value.reason is Reason.FRAME_QUALITY
     assert worker.pid == pid
@@ -127,7 +130,21 @@ def test_computing_can_be_cancelled(worker, folder):
         worker.process(folder.path, cancel)
     assert caught.value.reason is Reason.ABORTED_BY_USER
     assert gone(pid)
+    assert folder.results.names() == ()
     worker.cancel()
+
+
+def test_half_of_the_results_of_a_killed_process_are_none(worker, folders):
+    folder, pid = folders["measure"], worker.pid
+
+    def kill(progress):
+        if progress.file == "depth_mm.npy":
+            os.kill(worker.pid, signal.SIGKILL)
+
+    with pytest.raises(ComputingLost):
+        worker.process(folder.path, kill)
+    assert gone(pid)
+    assert folder.results.names() == ()
 
 
 def test_who_is_told_can_end_it_by_an_error(chain, folder):

@@ -3,25 +3,32 @@
 import numpy as np
 import pytest
 
-from irpmd_rig.core import Intrinsics, Plane, RigGeometry, direct_depth, rays, reference_frame
+from irpmd_rig.core import Intrinsics, Plane, rays, reference_frame
+from irpmd_rig.core.reconstruction.depth_equation import equation_depth
+from irpmd_rig.core.reconstruction.views import Views
 from irpmd_rig.processing.depth import depth_map, windowed
-from irpmd_rig.processing.evaluate import evaluate
-from irpmd_rig.processing.regions import bounding_box, common, grow, inside, lit, shrink, within
+from irpmd_rig.processing.evaluate import Change, evaluate, facet_means, step_covariances_um2
+from irpmd_rig.processing.regions import bounding_box, common, grow, inside, lit, overlap, shrink, within
 
 LENS = Intrinsics((400, 300), (460.0, 461.0), (198.0, 151.0), (-0.14, 0.15, -4e-5, -1.6e-4, 0.0))
 WINDOW = slice(37, 213), slice(51, 301)
 
 
+def views(phases):
+    sigmas = tuple(np.full(phase.shape, 0.01, np.float32) for phase in phases)
+    rows, columns = phases[0].shape
+    return Views((0.0, 40.0), tuple(phases), sigmas, (slice(0, rows), slice(0, columns)))
+
+
 def test_bands_on_two_threads_are_the_depth_equation():
     rng = np.random.default_rng(1)
-    phases = [(100 + 10 * k + rng.random((300, 400))).astype(np.float32) for k in (0, 1, 3, 5)]
-    phases[0][100:120, 60:70] = np.nan
-    whole = direct_depth(*(p.astype(float) for p in phases[:2]), *phases[2:], d_mm=180, delta_d_mm=40)
-    parts = depth_map(
-        [p[WINDOW].astype(float) for p in phases[:2]], phases[2:], d_mm=180, delta_d_mm=40, window=WINDOW, threads=2
-    )
-    np.testing.assert_array_equal(parts[WINDOW], whole[WINDOW].astype(np.float32))
-    assert np.isnan(parts).sum() == parts.size - np.isfinite(whole[WINDOW]).sum()
+    r1, r2, m1, m2 = ((100 + 10 * k + rng.random((300, 400))).astype(np.float32) for k in (0, 1, 3, 5))
+    r1[100:120, 60:70] = np.nan
+    whole = equation_depth(views((m1, m2)), views((r1, r2)), d_mm=180)
+    parts = depth_map(views((m1, m2)), views((r1, r2)), d_mm=180, threads=2)
+    np.testing.assert_array_equal(parts.depth_mm, whole.depth_mm)
+    np.testing.assert_array_equal(parts.sigma_mm, whole.sigma_mm)
+    assert np.isnan(parts.depth_mm[100:120, 60:70]).all()
 
 
 def test_a_window_has_the_rays_of_the_whole_picture():
@@ -53,24 +60,23 @@ def test_what_is_lit_is_found_without_specks_and_can_be_grown_and_shrunk():
     assert bounding_box(shrink(region)) == (slice(56, 144), slice(66, 134))
 
 
-@pytest.fixture
-def geometry():
-    plane = Plane(np.array([0.0, -0.0019, -0.0025]), np.eye(3) * 1e-16, 0.01, 1000)
-    frame = reference_frame(plane)
-    return RigGeometry(plane, plane, frame, 1.57, 1.57, 0.0, 180.0, 180.0, 0.006, {"planes": 6.0})
+def test_two_windows_share_what_both_have():
+    assert overlap(WINDOW, (slice(0, 100), slice(200, 400))) == (slice(37, 100), slice(200, 301))
+    rows, columns = overlap(WINDOW, (slice(250, 300), slice(0, 400)))
+    assert (rows.stop - rows.start, columns.stop - columns.start) == (0, 250)
 
 
-def evaluated(depth, geometry):
-    phases = [np.full(depth.shape, 100.0 + k) for k in (0, 7, 1, 6)]
+def evaluated(depth, changes=lambda _: ()):
+    frame = reference_frame(Plane(np.array([0.0, -0.0019, -0.0025]), np.eye(3) * 1e-16, 0.01, 1000))
     directions = rays(windowed(LENS, (slice(0, depth.shape[0]), slice(0, depth.shape[1]))))
-    return evaluate(depth.astype(np.float32), phases, geometry, directions, d_mm=180.0)
+    return evaluate(depth.astype(np.float32), frame, directions, changes)
 
 
-def test_two_flat_facets_have_a_step(geometry):
+def test_two_flat_facets_have_a_step():
     rng = np.random.default_rng(2)
     depth = rng.normal(0, 0.01, (120, 160))
     depth[:, 80:] += 3.0
-    found = evaluated(depth, geometry)
+    found = evaluated(depth)
     assert [step.name for step in found.steps] == ["1-2"]
     assert found.steps[0].height_mm == pytest.approx(3.0, abs=0.02)
     assert found.without_steps == ""
@@ -85,10 +91,39 @@ def test_two_flat_facets_have_a_step(geometry):
         (lambda v, u: np.where(u < 5, 0.0, np.nan) * v, "no facet can be found|no smooth patch", 0),
     ],
 )
-def test_why_there_are_no_steps_is_said(geometry, shape, said, facets):
+def test_why_there_are_no_steps_is_said(shape, said, facets):
     rng = np.random.default_rng(3)
     v, u = np.mgrid[:120, :160].astype(float)
-    found = evaluated(shape(v, u) + rng.normal(0, 0.003, v.shape), geometry)
+    found = evaluated(shape(v, u) + rng.normal(0, 0.003, v.shape))
     assert found.steps == ()
     assert len(found.planes) == facets
     assert any(part in found.without_steps for part in said.split("|"))
+
+
+def test_steps_share_what_moves_their_facets():
+    rng = np.random.default_rng(4)
+    depth = rng.normal(0, 0.01, (120, 240))
+    depth[:, 80:] += 3.0
+    depth[:, 160:] += 2.0
+    # The middle facet rises by 4 um with the calibration, the last by 3 um by chance, all by 9 um with the alignment.
+    moved = (
+        Change("calibration", np.array([0.0, 4e-3, 0.0])),
+        Change("random", np.array([0.0, 0.0, 3e-3])),
+        Change("alignment", np.full(3, 9e-3)),
+    )
+    found = evaluated(depth, lambda _: moved)
+    alone = evaluated(depth)
+    assert [step.calibration_um for step in found.steps] == pytest.approx([4, 4])
+    assert [step.alignment_um for step in found.steps] == pytest.approx([0, 0])
+    assert found.steps[1].random_um == pytest.approx(np.hypot(alone.steps[1].random_um, 3))
+    assert found.covariance_um2[0, 1] == pytest.approx(alone.covariance_um2[0, 1] - 16)
+    # The middle plane enters both at its opposite edges: what tilts it makes both larger, what lifts it but one.
+    assert 0 < alone.covariance_um2[0, 1] < alone.covariance_um2[0, 0]
+    parts = step_covariances_um2(found.planes, moved)
+    np.testing.assert_allclose(sum(parts.values()), found.covariance_um2)
+
+
+def test_the_mean_over_a_facet_leaves_unknown_pixels_out():
+    labels = np.array([[0, 1, 1, 2], [3, 0, 1, 2]], np.int32)
+    change = np.array([[9.0, 1.0, 2.0, np.nan], [5.0, 9.0, 3.0, np.nan]])
+    np.testing.assert_array_equal(facet_means(change, labels, 3), [2.0, np.nan, 5.0])

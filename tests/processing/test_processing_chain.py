@@ -79,7 +79,7 @@ def test_what_is_written_belongs_together(chain):
 
 def test_the_depth_map_is_told_of_before_all_else(chain):
     files = [file for _, _, file in chain.told if file]
-    assert files[0] == "depth_mm.npy"
+    assert files[:2] == ["depth_mm.npy", "sigma_mm.npy"]
     assert files[-1] == "result.json"
     fractions = [fraction for _, fraction, _ in chain.told]
     assert fractions == sorted(fractions)
@@ -186,11 +186,14 @@ def test_old_and_new_results_never_lie_side_by_side(chain, tmp_path):
 
     def fail(progress):
         if progress.text == "facets and steps":
+            left.extend(folder.results.names())
             raise InterruptedError
 
+    left: list[str] = []
     with pytest.raises(InterruptedError):
         process(folder, chain.runs.library, fail)
-    assert folder.results.names() == ("depth_mm.npy",)
+    assert left == ["depth_mm.npy", "sigma_mm.npy"]
+    assert folder.results.names() == ()  # half of it would pass for a result
 
 
 def test_a_calibration_that_was_computed_again_is_read_again(chain):
@@ -201,3 +204,29 @@ def test_a_calibration_that_was_computed_again_is_read_again(chain):
     results.write_json("calibration.json", results.read_json("calibration.json"))
     after = Chain(record, library).stamp
     assert [kind for (kind, *_), other in zip(before, after, strict=True) if other not in before] == ["reference"]
+
+
+def test_what_a_killed_computation_left_is_taken_away_by_the_next(chain, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(chain.folders["measure"].path, path)
+    folder = RunFolder(path)
+    (path / "results" / "result.json").unlink()
+    (path / "manifest.jsonl").rename(tmp_path / "manifest.jsonl")
+    with pytest.raises(FramesUnusable, match=r"has no manifest\.jsonl: which frame is what is not known; write it"):
+        process(folder, chain.runs.library, lambda _: None)
+    assert folder.results.names() == ()
+    (path / "manifest.jsonl").write_text("")
+    with pytest.raises(FramesUnusable, match=r"manifest\.jsonl names no frame"):
+        process(folder, chain.runs.library, lambda _: None)
+
+
+def test_the_papers_filter_makes_the_map_smoother_and_leaves_the_steps(chain, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(chain.folders["measure"].path, path, ignore=shutil.ignore_patterns("results"))
+    folder = RunFolder(path)
+    folder.amend(recipe={**folder.record().recipe, "phase_filter": True})
+    process(folder, chain.runs.library, lambda _: None)
+    filtered, plain = folder.results.read_json("result.json"), chain.content("measure")
+    assert filtered["depth"]["stated_noise_of_a_pixel_um"] < 0.7 * plain["depth"]["stated_noise_of_a_pixel_um"]
+    for one, other in zip(filtered["steps"], plain["steps"], strict=True):
+        assert abs(one["measured_mm"] - other["measured_mm"]) < 2e-3 * other["uncertainty_um"]

@@ -103,7 +103,7 @@ def test_a_rig_part_that_is_wrong_is_said(chain):
     [
         (lambda lines: lines[:-1], "23 frames|11 frames for 12 patterns: set 2 step 3 is missing"),
         (lambda lines: [*lines, lines[-1]], "13 frames for 12 patterns"),
-        (lambda lines: lines[:12], "1 stage positions; the depth equation takes two"),
+        (lambda lines: lines[:12], "1 stage positions; a depth takes two or more"),
         (lambda lines: [line | {"stage1_mm": None} for line in lines], "stage1_mm of the object frames is not known"),
         (lambda lines: [line | {"stage1_mm": float(n)} for n, line in enumerate(lines)], "goes from 0.0 to 11.0"),
         (lambda lines: [line | {"label": "mirror"} for line in lines], "no fringe frames labelled 'object'"),

@@ -7,7 +7,7 @@ from itertools import chain
 
 import pytest
 
-from irpmd_rig.recipes import fields, models, steps
+from irpmd_rig.recipes import base, characterise, fields, models, steps
 from irpmd_rig.recipes.document import DocumentError, Settings
 from irpmd_rig.recipes.models import KINDS, CalibratePlate, Measure
 from irpmd_rig.recipes.reading import read_recipe
@@ -20,6 +20,8 @@ _LEAST = {
     "reference": "",
     "measure": "object: step\n",
     "sequence": "steps: [{do: capture, label: a}]\n",
+    "align": "",
+    "characterise": "what: gamma\n",
 }
 
 
@@ -41,7 +43,7 @@ def test_least_recipe_of_each_kind(kind: str) -> None:
     assert (recipe.exposure_us, recipe.pixel_format, recipe.retries) == ("auto", "Mono8", 2)
     assert (recipe.light, recipe.trigger, recipe.settle, recipe.nominal_steps_mm) == (None, None, None, ())
     # A recipe written into a run's folder can be read again.
-    assert KINDS[kind].model_validate_json(recipe.model_dump_json()) == recipe
+    assert type(recipe).model_validate_json(recipe.model_dump_json()) == recipe
 
 
 def test_defaults_are_the_papers() -> None:
@@ -51,6 +53,7 @@ def test_defaults_are_the_papers() -> None:
     assert measure.fringes.counts == (64, 63, 56)
     assert (measure.fringes.steps, measure.fringes.orientations) == (4, ("x",))
     assert measure.positions_mm == (0, 40)
+    assert (measure.method, measure.compare, measure.if_calibration_is_off) == ("auto", (), "refuse")
     assert plate.positions_mm == tuple(range(0, 201, 10))
 
 
@@ -92,9 +95,19 @@ def test_every_common_field() -> None:
         ("measure", "positions_mm: [0]", "must be a list of at least 2 items"),
         ("measure", "positions_mm: [0, 0]", "'positions_mm[1]' is 0 mm, the same place as the first position"),
         ("measure", "positions_mm: [0, 0.05]", "at least 0.1 mm apart"),
-        ("measure", "positions_mm: [0, 20, 40]", "the depth equation takes two"),
+        (
+            "measure",
+            "positions_mm: [0, 20, 40]\nmethod: depth-equation",
+            "'positions_mm[2]' has 3 positions; the depth equation takes two",
+        ),
+        ("measure", "compare: [facets, facets]", "'compare' names a method twice"),
+        ("measure", "compare: [auto]", "must be 'depth-equation', 'generalised', 'triangulation' or 'facets'"),
+        ("measure", "max_chi2: 1", "'max_chi2' must be above 1"),
+        ("measure", "if_calibration_is_off: ignore", "must be 'refuse' or 'mark', not 'ignore'"),
+        ("calibrate-geometry", "positions_mm: []", "must be a list of at least 1 item"),
+        ("calibrate-geometry", "positions_mm: [0, 0.01]", "at least 0.1 mm apart"),
         ("measure", "positions_mm: [0, 4000]", "'positions_mm[1]' must be at most 1000"),
-        ("measure", "method: magic", "'method' must be 'depth-equation'"),
+        ("measure", "method: magic", "'method' must be 'auto', 'depth-equation', 'generalised', 'triangulation'"),
         ("measure", "reference: ../../etc", "'reference' is neither 'active' nor the id of a run"),
         ("measure", "calibration: 20260102-030405-0a1b2c\\n", "neither 'active' nor"),
         ("measure", "fringes: {counts: [64, 62, 56]}", "'fringes.counts' cannot be unwrapped"),
@@ -162,8 +175,6 @@ def test_sequence_needs_a_capture() -> None:
     ("kind", "what"),
     [
         ("measur", "there is no kind 'measur'; did you mean 'measure'?"),
-        ("align", "recipes of kind align cannot be run yet"),
-        ("characterise", "recipes of kind characterise cannot be run yet"),
         ("[measure]", "'kind' must be text"),
         ("", "'kind' is missing; add kind: calibrate-camera"),
         ("*x", "anchors and aliases"),
@@ -184,6 +195,8 @@ def test_shipped_recipes_are_found_by_name_and_cover_every_kind() -> None:
     for first, second in (("reference", "paper-measure"), ("precise-reference", "precise-measure")):
         assert read[first].positions_mm == read[second].positions_mm  # type: ignore[union-attr]
         assert read[first].fringes == read[second].fringes  # type: ignore[union-attr]
+    assert read["precise-geometry"].fringes == read["precise-measure"].fringes  # type: ignore[union-attr]
+    assert (read["paper-measure"].method, read["precise-measure"].method) == ("depth-equation", "facets")  # type: ignore[union-attr]
     with pytest.raises(FileNotFoundError, match="paper-measure"):
         recipe_file("nothing-of-this-name")
 
@@ -191,7 +204,7 @@ def test_shipped_recipes_are_found_by_name_and_cover_every_kind() -> None:
 def test_every_field_is_documented() -> None:
     classes = {
         thing
-        for thing in chain(vars(models).values(), vars(fields).values(), vars(steps).values())
+        for thing in chain(*(vars(module).values() for module in (base, characterise, models, fields, steps)))
         if isinstance(thing, type) and issubclass(thing, Settings) and thing is not Settings
     }
     assert len(classes) > 12

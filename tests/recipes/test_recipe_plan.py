@@ -33,7 +33,8 @@ def _scene(made: Plan, index: int) -> Scene:
     [
         ("calibrate-camera", 30, 30, 30),
         ("calibrate-plate", 21, 21 * 12, 1),
-        ("calibrate-geometry", 3, 2 + 2 + 12, 3),
+        ("calibrate-geometry", 9, 2 + 4 * 2 + 4 * 12, 3),
+        ("precise-geometry", 9, 2 + 4 * 2 + 4 * 24, 3),
         ("reference", 4, 2 * 2 + 2 * 12, 2),
         ("paper-measure", 2, 2 * 12, 1),
         ("precise-reference", 4, 2 * 2 + 2 * 24, 2),
@@ -69,13 +70,21 @@ def test_plate_is_placed_once_and_goes_through_its_positions() -> None:
     assert made.stations[7].source == ("positions_mm", 7)
 
 
-def test_geometry_takes_things_away() -> None:
+def test_geometry_takes_things_away_and_goes_through_its_positions() -> None:
     made = _shipped("calibrate-geometry")
-    uniform = [tuple(shot.role for shot in station.shots) for station in made.stations]
-    assert uniform == [("white", "black"), ("white", "black"), ("fringes",)]
-    assert [station.label for station in made.stations] == ["sprayed", "glass", "mirror"]
-    assert [_scene(made, k) for k in range(3)] == [Scene("mirror", glass=False), Scene("nothing"), Scene("mirror")]
-    assert {station.stage1_mm for station in made.stations} == {0}
+    uniform, fringes = ("white", "black"), ("fringes",)
+    assert [(s.label, s.stage1_mm, tuple(shot.role for shot in s.shots)) for s in made.stations] == [
+        ("sprayed", 0, uniform),
+        *(("glass", position_mm, uniform) for position_mm in (0, -40, -80, 40)),
+        *(("mirror", position_mm, fringes) for position_mm in (0, -40, -80, 40)),
+    ]
+    assert [_scene(made, k) for k in (0, 1, 5)] == [Scene("mirror", glass=False), Scene("nothing"), Scene("mirror")]
+    assert made.stations[7].source == ("positions_mm", 2)
+
+
+def test_geometry_at_one_position_is_the_papers() -> None:
+    made = _planned("{kind: calibrate-geometry, name: x, positions_mm: [10]}")
+    assert [(s.label, s.stage1_mm) for s in made.stations] == [("sprayed", 10), ("glass", 10), ("mirror", 10)]
 
 
 def test_reference_sees_the_glass_then_the_mirror_at_each_position() -> None:

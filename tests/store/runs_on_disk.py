@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.store import Fringes, ManifestEntry, Reason, RunFolder, RunRecord, RunState, Store, Transition
+from irpmd_rig.store.record import CALIBRATIONS
 
 RECORD = RunRecord(
     kind="measure",
@@ -34,6 +35,8 @@ def new_run(root: Path, record: RunRecord = RECORD) -> RunFolder:
 
 def succeeded(store: Store, **record: object) -> RunFolder:
     folder = store.create_run(RunRecord.model_validate({"kind": "measure"} | record), QUEUED)
+    if folder.record().kind in (*CALIBRATIONS, "reference"):
+        folder.results.write_json("calibration.json", {})
     for state in TO_SUCCESS:
         folder.append_state(Transition(state))
     return folder

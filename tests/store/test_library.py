@@ -53,6 +53,8 @@ def test_what_cannot_serve_is_refused(store: Store, library: Library) -> None:
         library.activate(measured.id)
     with pytest.raises(NotUsable, match="has not succeeded: it is queued"):
         library.activate(waiting.id)
+    with pytest.raises(NotUsable, match="is a calibrate-camera, not a reference"):
+        library.activate(succeeded(store, kind="calibrate-camera").id, ("reference",))
     with pytest.raises(RunNotFound):
         library.activate("20260101-000000-abcdef")
     with pytest.raises(NotUsable, match="no reference is active"):
@@ -74,3 +76,14 @@ def test_a_damaged_list_of_active_runs_is_a_typed_error(store: Store, library: L
     (store.root / "active.json").write_text(content)
     with pytest.raises(RunFolderError, match=r"active\.json.*activate again"):
         library.resolve("reference")
+
+
+def test_a_run_without_its_calibration_is_refused(store: Store, library: Library) -> None:
+    folder = succeeded(store, kind="reference")
+    library.activate(folder.id)
+    folder.results.clear()
+    said = f"run {folder.id}, a reference, has no calibration.json among its results: compute it again"
+    for use in (lambda: library.activate(folder.id), lambda: library.resolve("reference", folder.id),
+                lambda: library.resolve("reference")):  # fmt: skip
+        with pytest.raises(NotUsable, match=said):
+            use()

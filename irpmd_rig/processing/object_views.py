@@ -1,0 +1,130 @@
+"""What is seen of the object: its phases at every stage position, and the window of the picture that they fill."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from irpmd_rig.core.reconstruction.views import Views
+from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
+from irpmd_rig.processing.frames import FringeStation
+from irpmd_rig.processing.glass import glass_mask
+from irpmd_rig.processing.job import Job
+from irpmd_rig.processing.optics import KnownRig, Optics
+from irpmd_rig.processing.phases import StationPhase
+from irpmd_rig.processing.regions import Mask, Window, bounding_box, grow, within
+from irpmd_rig.processing.stage_position import StagePosition, stage_position
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectViews:
+    """Phases of the object.
+
+    Attributes
+    ----------
+    stations
+        One a stage position.
+    phases, phases_y
+        Of the whole picture; None where there are no fringes along y.
+    positions
+        Refined where the rig is calibrated.
+    window
+        Rows and columns that hold every pixel whose phase is known at all positions.
+    hidden
+        Pixels of the window that show the glass itself, or the spray of the reference mirror; None: not known.
+    """
+
+    stations: tuple[FringeStation, ...]
+    phases: tuple[StationPhase, ...]
+    phases_y: tuple[StationPhase, ...] | None
+    positions: tuple[StagePosition, ...]
+    window: Window
+    hidden: Mask | None
+
+    @property
+    def read_mm(self) -> tuple[float, ...]:
+        """Stage positions as the stage told them."""
+        return tuple(position.read_mm for position in self.positions)
+
+    def cut(self, window: Window) -> ObjectViews:
+        """Give a smaller window, of the picture's rows and columns, inside this one."""
+        hidden = None if self.hidden is None else self.hidden[within(window, self.window)]
+        return replace(self, window=window, hidden=hidden)
+
+    def views(self) -> Views:
+        """Give them to the methods that use the rig model: cut to the window, positions refined."""
+
+        def cut(phases: Sequence[StationPhase]) -> tuple[NDArray[np.float32], ...]:
+            maps = tuple(phase.phase_rad[self.window].copy() for phase in phases)
+            if self.hidden is not None:
+                for phase in maps:
+                    phase[self.hidden] = np.nan
+            return maps
+
+        return Views(
+            positions_mm=tuple(position.used_mm for position in self.positions),
+            phases_rad=cut(self.phases),
+            sigmas_rad=tuple(phase.sigma_in(self.window) for phase in self.phases),
+            window=self.window,
+            phases_y_rad=None if self.phases_y is None else cut(self.phases_y),
+        )
+
+
+def object_views(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) -> ObjectViews:
+    """Phases of the object at all stations.
+
+    Raises
+    ------
+    FramesUnusable
+        If frames are missing or cannot be decoded.
+    ProcessingError
+        If no pixel is seen at all positions.
+    """
+    phases = []
+    for number, station in enumerate(stations, 1):
+        job.step(f"phase at position {number}, {station.stage1_mm:g} mm")
+        phases.append(job.phase(station, take=True))
+    across = _along_y(job, stations)
+    job.release()
+    known = None if optics.rig is None else (optics.rig.model, optics.rig.outline_mm)
+    positions = tuple(stage_position(station, phase, known) for station, phase in zip(stations, phases, strict=True))
+    seen = np.logical_and.reduce([np.isfinite(phase.phase_rad) for phase in phases])
+    hidden = None if optics.rig is None else hidden_mask(optics.rig, [station.stage1_mm for station in stations])
+    if hidden is not None:
+        seen &= ~hidden
+    elif optics.references is not None:
+        outside = np.ones_like(seen)
+        outside[optics.references.window] = False
+        seen &= ~outside
+    # Single pixels that are valid by chance would make the window as large as the picture.
+    window = bounding_box(cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
+    if window is None:
+        raise nothing_seen()
+    cut = None if hidden is None else np.ascontiguousarray(hidden[window])
+    return ObjectViews(stations, tuple(phases), across, positions, window, cut)
+
+
+def nothing_seen() -> ProcessingError:
+    """No pixel has a depth."""
+    return ProcessingError(
+        "no pixel has a depth", "check that the object reflects the glass into the camera at all positions"
+    )
+
+
+def hidden_mask(rig: KnownRig, positions_mm: Sequence[float]) -> Mask:
+    """Pixels that show the glass itself at any of several positions, or the spray of the reference mirror."""
+    glass = [glass_mask(rig.model, rig.outline_mm, position) for position in positions_mm]
+    return grow(np.logical_or.reduce([rig.sprayed, *glass]))
+
+
+def _along_y(job: Job, stations: tuple[FringeStation, ...]) -> tuple[StationPhase, ...] | None:
+    if not job.has("object", "y"):
+        return None
+    across = job.stations("object", "y")
+    if [station.number for station in across] != [station.number for station in stations]:
+        raise FramesUnusable("fringes along y are not there at every position of those along x", "measure again")
+    return tuple(job.phase(station, take=True) for station in across)
