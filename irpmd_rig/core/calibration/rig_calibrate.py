@@ -113,7 +113,7 @@ def _fitted(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> tuple[Unknowns
     plain = None
     if rough.chi2_per_dof < _HOPELESS:
         plain = fit_unknowns(cells, stage_mm, unknowns, rough.values)
-        if plain.settled and plain.chi2_per_dof < _SUSPICIOUS:
+        if plain.chi2_per_dof < _SUSPICIOUS:
             return unknowns, plain
     fuller, flexible = _with_freeform(cells, stage_mm, unknowns, (plain or rough).values)
     if plain is not None and plain.settled and not _worth_it(plain, flexible):

@@ -20,8 +20,9 @@ _TRIES = 12
 _DAMPING = 1e-6
 # Share of its own sigma by which a number may still move.
 _CONVERGED = 0.03
-# The same of a step that is not damped, where rounding keeps the fit from going on.
-_LEFT = 0.3
+# Fall of the sum of squares, in units of the noise, that changes nothing; and the damping up to which a step is free.
+_IDLE = 0.3
+_DAMPED = 1e-3
 _STEP_SHARE = 1e-4  # of a number's weak sigma, for derivatives
 _STEP_RAY = 1e-5
 _STEP_STAGE_MM = 1e-2
@@ -115,13 +116,14 @@ def fit_unknowns(cells: Cells, stage_mm: Array, unknowns: Unknowns, values: Arra
                 break
             damping *= 10
         values, residual = values + step, ahead
+        # Along a curved valley of numbers that the data hardly know the squares fall a little for ever. A step that is
+        # small because it is damped is no end.
+        idle = abs(cost - better) < _IDLE * scale**2
+        settled = bool((small or idle) and damping <= _DAMPED)
         damping /= 10
-        if small:
+        if small or settled:
             break
-    # A step may also be small because it is damped: that is no end unless a free one is not large either.
-    free = np.max(np.abs(_damped(system, right, _DAMPING)) / sigmas)
-    print("FREE", free, damping, small, unknowns.names[np.argmax(np.abs(_damped(system, right, _DAMPING)) / sigmas)])
-    return Fit(values, data_root, prior, residual, weight, small and bool(free < _LEFT))
+    return Fit(values, data_root, prior, residual, weight, settled)
 
 
 def _condensed(system: Array, right: Array) -> tuple[Array, Array]:

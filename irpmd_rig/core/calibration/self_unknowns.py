@@ -95,7 +95,7 @@ class Unknowns:
         Axes of the projector at no turn: along the axes of M.
     aim_mm : ndarray, (3,)
         Point of the glass on which the projector's numbers are based: the column that a pinhole would show it, the
-        magnification there, and how far aside of the view along the rows it lies. What fringes tell precisely
+        magnification there, and how far aside of the projector, along the rows, it lies. What fringes tell precisely
         (column, magnification) stands apart from what they hardly tell, and the fit goes straight.
     views : int
         Number of stage offsets; they follow the rig's numbers, the free-form coefficients come last.
@@ -135,7 +135,11 @@ class Unknowns:
         """The rig that these values describe."""
         column, aside, magnification, focal, cx, cy, k1, k2, p1, p2 = values[_from("projector.aim_column", 10)].tolist()
         axes = self.attitude @ _rotation(values[_from("projector.turn_x", 3)]).T
-        aimed = np.array([(column - cx) / magnification, aside, focal / magnification])
+        across, ahead = (column - cx) / magnification, focal / magnification
+        along = axes @ self.attitude[1]
+        # The place along the rows is counted along an axis of M: what tells it does not depend on the turn.
+        rest = (aside - along[0] * across - along[2] * ahead) / along[1]
+        aimed = np.array([across, rest, ahead])
         projector = Projector(
             self.origin.projector.size_px,
             axes,
@@ -219,7 +223,7 @@ def unknowns_about(
             guess.glass,
             guess.stage_axis[:2] / np.linalg.norm(guess.stage_axis),
             turn,
-            [column, aimed[1], magnification],
+            [column, attitude[1] @ (aim_mm - projector.centre_mm), magnification],
             [projector.focal_px[0], *projector.principal_point_px, *projector.distortion[:4]],
             np.zeros(views),
         ]

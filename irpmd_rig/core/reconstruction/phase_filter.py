@@ -65,7 +65,7 @@ def remove_blur_bias(views: Views, psf_px: float) -> Views:
     The pixel integrates exp(i phi) over the blur. With gradient g and second derivatives H of the phase over the
     picture (quadratic fits over 11 x 11 pixels within smooth regions) and M = 1 - i s^2 H that is closed:
     exp(i phi) det(M)^(-1/2) exp(-s^2 g' M^-1 g / 2), to first order a phase of s^2 tr(H) / 2 - s^4 g' H g / 2.
-    On a sphere of radius 100 it lowers the depth by 3 um (physics notes, section 5).
+    On a sphere of radius 100 the blur lowers the depth by micrometres (physics notes, section 5).
     """
 
     def corrected(fit: LocalFit, phase: Map, sigma: Map) -> tuple[Map, Map]:
