@@ -2,8 +2,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 RUN := $(VENV)/bin
-# These talk to instruments in real time: one after another, with the machine to themselves.
-REAL_TIME := $(addprefix tests/,acquisition bench conformance drivers e2e sims/camera sims/process sims/projector sims/stage)
+# These look at the clock, as instruments and clients do: one after another, with the machine to themselves.
+REAL_TIME := $(addprefix tests/,acquisition bench campaigns conformance drivers e2e service \
+  sims/camera sims/process sims/projector sims/stage)
 
 .PHONY: demo test check clean
 

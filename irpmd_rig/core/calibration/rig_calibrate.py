@@ -38,7 +38,7 @@ _LEAST_TRAVEL_MM = 1.0
 # for every coefficient: ripples of the pattern, which they cannot describe, raise chi2 too.
 _SUSPICIOUS = 1.15
 _GAIN = 10.0
-# From here on the rig's numbers alone need not be fitted to the end.
+# From here on the rig's numbers alone need not be fitted to the end, and a fit that did not end is none.
 _HOPELESS = 3.0
 # What the first steps, from far off, are made with.
 _FEW_CELLS = 2000
@@ -116,9 +116,10 @@ def _fitted(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> tuple[Unknowns
         if plain.chi2_per_dof < _SUSPICIOUS:
             return unknowns, plain
     fuller, flexible = _with_freeform(cells, stage_mm, unknowns, (plain or rough).values)
-    if plain is not None and plain.settled and not _worth_it(plain, flexible):
+    # Numbers that fringes hardly tell may creep along for ever; chi2 says whether what is left matters.
+    if plain is not None and not _worth_it(plain, flexible):
         return unknowns, plain
-    if not flexible.settled:
+    if not flexible.settled and flexible.chi2_per_dof > _HOPELESS:
         raise CalibrationError(
             "the self-calibration does not settle: check that mirror, spray and glass are marked rightly, and that the "
             "stage positions belong to the pictures"

@@ -26,7 +26,7 @@ from irpmd_rig.core.reconstruction.surfaces import Surface
 from irpmd_rig.core.reconstruction.views import DepthMap, Views
 from irpmd_rig.core.rig_model import RigModel
 
-FEWEST_PIXELS = 200
+FEWEST_PIXELS = 100
 # What departs from a plane by more (rms), and surely, is a curved mirror; a polynomial of this degree shows it.
 _FLAT_MM = 5e-3
 _SHAPE_DEGREE = 3

@@ -196,7 +196,7 @@ def test_outliers_and_unknown_pixels_do_no_harm(treads, facets):
 def test_facets_with_too_few_pixels_and_parts_that_leave_the_glass_are_said(treads, facets):
     labels = facets.labels.copy()
     rows, columns = np.nonzero(labels == 1)
-    labels[rows[150:], columns[150:]] = 0
+    labels[rows[80:], columns[80:]] = 0
     views = treads.views_with(SIGMA_RAD, 0)
     part = views.phases_rad[1].copy()
     rows, columns = np.nonzero(labels == 4)
@@ -206,7 +206,7 @@ def test_facets_with_too_few_pixels_and_parts_that_leave_the_glass_are_said(trea
         views, treads.depth_with(DEPTH_SIGMA_MM, 0), replace(facets, labels=labels), treads.model
     )
     assert [facet.facet for facet in estimate.facets] == [2, 3, 4, 5]
-    assert "facet 1 is left out: 150 pixels" in estimate.remarks[0]
+    assert "facet 1 is left out: 80 pixels" in estimate.remarks[0]
     assert "facet 4: at 40 mm only 50% of its pixels" in estimate.remarks[1]
     assert not (estimate.labels == 1).any()
     assert steps_of(estimate).names == ("2-3", "3-4", "4-5")
