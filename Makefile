@@ -12,7 +12,7 @@ demo: $(VENV)/demo.stamp
 	$(RUN)/irpmd-rig demo
 
 test: $(VENV)/dev.stamp
-	$(RUN)/python -m pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore=%)
+	$(RUN)/python -m pytest --numprocesses 2 --dist loadfile $(REAL_TIME:%=--ignore=%)
 	$(RUN)/python -m pytest $(REAL_TIME)
 
 check: $(VENV)/dev.stamp
