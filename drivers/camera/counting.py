@@ -28,11 +28,16 @@ class FrameCount:
         Frames of the burst; None: without end.
     first_id
         Id of the first frame of an earlier arming, where one is known.
+    advances
+        Whether ids were seen to advance: of a camera that counts nothing all ids are the same.
     """
 
-    def __init__(self, limit: int | None, first_id: int | None = None) -> None:
+    def __init__(self, limit: int | None, first_id: int | None = None, *, advances: bool = False) -> None:
         self._limit = limit
         self.first_id = first_id
+        self.advances = advances
+        self._last_id: int | None = None
+        self._last_s: float | None = None
         self._next_id: int | None = None
         self._position = 0
         self._lost = 0
@@ -47,7 +52,7 @@ class FrameCount:
         """Whether no frame has come yet."""
         return self._next_id is None
 
-    def frame(self, frame_id: int, stream_lost: int = 0) -> Arrival:
+    def frame(self, frame_id: int, stream_lost: int = 0, timestamp_s: float | None = None) -> Arrival:
         """Take a complete frame.
 
         Parameters
@@ -57,12 +62,17 @@ class FrameCount:
         stream_lost
             Frames that the transport knows it has lost since arming. Only the first frame needs it: what came
             before it shows in no gap.
+        timestamp_s
+            The camera's time of it, where it tells one.
         """
+        same_time = timestamp_s is not None and timestamp_s == self._last_s
+        self.advances = self.advances or (self._last_id is not None and frame_id > self._last_id)
+        self._last_id, self._last_s = frame_id, timestamp_s
         if self._next_id is None:
             gap = self._gap_before_first(frame_id, stream_lost)
             if self._position + gap == 0:
                 self.first_id = frame_id
-        elif frame_id == self._next_id - 1:
+        elif frame_id == self._next_id - 1 and (self.advances or same_time):
             # Delivered again: a stale frame takes no place from those to come.
             return Arrival(0, None)
         else:

@@ -72,6 +72,7 @@ class Worker:
         self._ring: RingWriter | None = None
         self._acquisition: Acquisition | None = None
         self._first_id: int | None = None
+        self._ids_advance = False
         self._operations: dict[str, Callable[[Message], object]] = {
             "open": self._open,
             "capabilities": lambda _: capabilities_message(self._camera[1].capabilities()),
@@ -159,7 +160,7 @@ class Worker:
         form = BY_NAME[name]
         values = width * height * form.channels
         ring = self._fitting_ring(values * form.kind.itemsize)
-        count = FrameCount(message["frames"], self._first_id)
+        count = FrameCount(message["frames"], self._first_id, advances=self._ids_advance)
         session = int(message["session"])
         backend.start()
         self._acquisition = Acquisition(session, count, (form, width, height), triggered=self._trigger == "software")
@@ -191,6 +192,7 @@ class Worker:
         acquisition, self._acquisition = self._acquisition, None
         if acquisition is not None and self._backend is not None:
             self._first_id = acquisition.count.first_id
+            self._ids_advance = acquisition.count.advances
             self._backend.stop()
 
     # ---- frames ----
@@ -235,7 +237,8 @@ class Worker:
         backend, _ = self._camera
         try:
             first = acquisition.count.first
-            arrival = acquisition.count.frame(picture.frame_id, backend.lost() if first else 0)
+            lost = backend.lost() if first else 0
+            arrival = acquisition.count.frame(picture.frame_id, lost, picture.timestamp_s)
             self._report_lost(acquisition, arrival.lost)
             if arrival.index is None:
                 return

@@ -6,6 +6,7 @@ import time
 from drivers.errors import MotionFailed, TimedOut
 from drivers.stage.axis import Axis, Drive
 from drivers.stage.controller import Controller
+from drivers.stage.frames import Status
 from drivers.stage.motion import POLL_S, START_S, Watch, begun
 
 # A way that every stage has inside its limits, and that no in-position window hides.
@@ -51,14 +52,14 @@ class Homing:
             Stopped, without progress, or ended elsewhere; or the axis does not move at all.
         """
         away = abs(self._controller.status().counts) > self._axis.window_counts
-        counts, moved = self._once()
+        status, moved = self._once()
         if away or moved:
-            return counts
-        self._leave(counts)
-        return self._once()[0]
+            return status.counts
+        self._leave(status)
+        return self._once()[0].counts
 
-    def _once(self) -> tuple[int, bool]:
-        """Home once; returns the counts that were read at the end, and whether anything was seen to move."""
+    def _once(self) -> tuple[Status, bool]:
+        """Home once; returns the status that was read at the end, and whether anything was seen to move."""
         device, settings = self._axis.device, self._axis.settings
         with self._starting:
             if not self._controller.home(self._stopped.is_set):
@@ -90,16 +91,18 @@ class Homing:
             raise MotionFailed(
                 device, f"homing ended at {status.counts} counts, not at 0", "check the switch, home again"
             )
-        return status.counts, moved
+        return status, moved
 
-    def _leave(self, counts: int) -> None:
+    def _leave(self, status: Status) -> None:
         """Move away from where homing ended, towards the middle of the limits."""
         axis, home_mm = self._axis, self._axis.settings.home_position_mm
         scale = axis.scale(home_mm)
         inside = 1.0 if sum(axis.settings.limits_mm) / 2.0 >= home_mm else -1.0
         target = scale.to_counts(home_mm + inside * max(CHECK_MM, 4.0 * axis.settings.in_position_mm))
         with self._starting:
-            told = target if axis.dialect.motion == "absolute" else target - counts
+            told = target if axis.dialect.motion == "absolute" else target - status.counts
             if not self._controller.move(told, self._drive, self._stopped.is_set):
                 raise MotionFailed(axis.device, "stopped before it moved", "home again")
-        self._watch.follow(begun(axis, self._drive, counts, target), scale, None)
+        # Its zero may lie on its limit switch.
+        move = begun(axis, self._drive, status.counts, target, at_limit=status.at_limit)
+        self._watch.follow(move, scale, None)

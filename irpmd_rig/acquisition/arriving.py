@@ -4,13 +4,30 @@ from __future__ import annotations
 
 import time
 
-from drivers.protocols import MotionFailed, Stage, StageCondition
+from drivers.protocols import MotionFailed, Refused, Stage, StageCondition
 from irpmd_rig.acquisition.conduct import Conduct
 
 # A stage that is this near to its target, and does not move, has arrived; a controller that has not begun yet is not.
 NEAR_MM = 0.1
 LIMIT_S = 120.0
 _POLL_S = 0.002
+
+
+def check_away(stage: Stage, target_mm: float) -> None:
+    """Refuse to wait for an arrival where nothing would move.
+
+    Raises
+    ------
+    Refused
+        The stage stands at its target already.
+    """
+    position = stage.state().position
+    if position is not None and abs(position.position_mm - target_mm) <= NEAR_MM:
+        raise Refused(
+            stage.name,
+            f"it stands at {target_mm:g} mm already: it cannot be seen to arrive there",
+            f"begin more than {NEAR_MM:g} mm away from it",
+        )
 
 
 def await_arrival(stage: Stage, target_mm: float, conduct: Conduct) -> float:

@@ -79,7 +79,7 @@ class RunBook:
             try:
                 if self._recovered(self._store.run(summary.id)):
                     interrupted.append(summary.id)
-            except StoreError as error:
+            except (StoreError, OSError) as error:
                 _log.error("run %s cannot be recovered: %s", summary.id, error)
         return tuple(interrupted)
 

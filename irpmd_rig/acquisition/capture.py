@@ -155,9 +155,16 @@ class Photographer:
         """Frames of the first of some fringes, one after the other, as fast as they come.
 
         `checks` tells the middle of each exposure, in seconds since `since_s` of `time.monotonic`. Prepare them
-        before (`prepare_series`), and nothing is in between.
+        before (`prepare_series`), and nothing is in between. A burst of which frames are lost is not taken again: its
+        moment is over.
+
+        Raises
+        ------
+        FramesLost
+            Frames did not arrive, or only in part.
         """
-        taken, attempt = self._shooter.take(_first_only(counts, steps, frames), lambda _, frame: frame)
+        order = _first_only(counts, steps, frames)
+        taken, attempt = self._shooter.take(order, lambda _, frame: frame, again=False)
         half_s = 0.5e-6 * self._shooter.exposure_us
         return tuple(
             replace(self._captured(frame, "series", attempt), checks={"after_s": arrived_s - half_s - since_s})

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.protocols import CameraCapabilities, InstrumentError, LimitReached, Refused, Stage, StageCondition
+from drivers.registry import driver_class
 from irpmd_rig.acquisition.errors import AcquisitionError
 from irpmd_rig.acquisition.patterns import longest_exposure_us
 from irpmd_rig.acquisition.rig import DeviceCondition, Rig
 from irpmd_rig.acquisition.rig_file import RigFile
+from irpmd_rig.acquisition.runs import arriving
 from irpmd_rig.processing.chain import check_uses, needs_of
 from irpmd_rig.recipes.equipment import Axis, Equipment
 from irpmd_rig.recipes.estimate import targets
@@ -37,8 +39,10 @@ def equipment_of(rig: Rig) -> Equipment:
         if stage is not None:
             lower_mm, upper_mm = stage.limits().lower_mm, stage.limits().upper_mm
         speed = device.settings.get("speed_mm_per_s")
-        axes[name] = Axis(lower_mm, upper_mm, speed, float(device.settings.get("settle_s", 0.2)))
+        reads = stage is None or stage.capabilities().reads_position
+        axes[name] = Axis(lower_mm, upper_mm, speed, float(device.settings.get("settle_s", 0.2)), reads)
     known: dict[str, Any] = {"stages": axes, "trigger": file.trigger, **_camera(rig), **_projector(rig)}
+    known["display_delay_s"] = _display_delay_s(file)
     if rig.operator is not None:
         known |= {"subjects": rig.operator.subjects, "board_poses": rig.operator.board_poses}
     return Equipment(**known)
@@ -60,7 +64,8 @@ def check_start(rig: Rig, plan: Plan) -> None:
     Raises
     ------
     InstrumentError
-        The instrument's own error, where it gave one.
+        The instrument's own error, where it gave one; Refused where a stage is to be seen to arrive whose controller
+        tells nothing.
     """
     needed = instruments_of(plan)
     for name, state in rig.devices.items():
@@ -70,6 +75,11 @@ def check_start(rig: Rig, plan: Plan) -> None:
             rig.instrument(name)
     for name in sorted(needed):
         rig.instrument(name)
+    for station in plan.stations:
+        for name in targets(station) if arriving(station) else ():
+            if not rig.stage(name).capabilities().reads_position:
+                what = "its controller does not say when it arrives, so the time cannot be measured"
+                raise Refused(name, what, "use a stage whose controller tells its position")
 
 
 def check_move(rig: Rig, name: str, target_mm: float) -> None:
@@ -231,6 +241,19 @@ def _projector(rig: Rig) -> dict[str, Any]:
         "leds": tuple(str(led) for led in can.leds) or None,
         "longest_pattern_us": longest_us if longest_us != float("inf") and rig.file.trigger == "hardware" else None,
     }
+
+
+def _display_delay_s(file: RigFile) -> float | None:
+    projector = file.devices.get("projector")
+    if projector is None:
+        return None
+    try:
+        fields = driver_class(projector.kind, projector.driver, device=projector.name).Settings.model_fields
+    except InstrumentError:
+        return None
+    if "display_delay_s" not in fields:
+        return None
+    return float(projector.settings.get("display_delay_s", fields["display_delay_s"].default))
 
 
 def _can_home(rig: Rig, name: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from irpmd_rig.processing.chain import check_uses
+from irpmd_rig.processing.compensation import levels_of
 from irpmd_rig.processing.errors import ProcessingError
 from irpmd_rig.recipes.check import Finding
 from irpmd_rig.store.errors import StoreError
@@ -25,6 +26,12 @@ def unusable(record: RunRecord, store: Store) -> Iterator[Finding]:
     store
         Where the runs are that it names.
     """
+    compensation = record.recipe.get("compensation")
+    if isinstance(compensation, str) and not _may_succeed(store, compensation):
+        try:
+            levels_of(Library(store), compensation)
+        except ProcessingError as error:
+            yield ("compensation",), error.what, error.remedy
     named = {kind: run_id for kind, run_id in record.uses.items() if run_id != ACTIVE}
     if any(_may_succeed(store, run_id) for run_id in named.values()):
         return

@@ -18,7 +18,7 @@ from irpmd_rig.acquisition.interlocks import axes_of, check_start, has_zero, set
 from irpmd_rig.acquisition.queue import RunQueue
 from irpmd_rig.acquisition.rig import Rig
 from irpmd_rig.acquisition.rounds import asked_next
-from irpmd_rig.acquisition.runs import Run, first_incomplete
+from irpmd_rig.acquisition.runs import Run, entered_at, first_incomplete
 from irpmd_rig.acquisition.safety import Safety
 from irpmd_rig.acquisition.sequencer import PROMPT_LIMIT_S, Sequencer, Surroundings
 from irpmd_rig.processing import ProcessedRun, Progress, Worker
@@ -217,7 +217,7 @@ class Runner:
         place = self._place
         place.safety.check()
         run.folder.results.clear()
-        first = first_incomplete(run.plan, run.folder.manifest())
+        first = entered_at(run.plan, first_incomplete(run.plan, run.folder.manifest()))
         stations = len(run.plan.stations)
         if run.plan.steered:
             # What is asked between its rounds may have been done in part: they are taken in one go.
@@ -226,6 +226,8 @@ class Runner:
             check_start(place.rig, run.plan)
             place.check_space(run)
             settle_uses(place.rig, run.folder, place.library)
+            # Only looked up, so that nothing moves for a run that cannot be shown.
+            levels_of(place.library, run.recipe.compensation)
             self._ready_axes(run)
             if not self._zeros_hold(run):
                 first = 0
@@ -254,6 +256,9 @@ class Runner:
             stage = place.rig.stage(name)
             if not has_zero(stage):
                 run.doing(f"{name} finds its zero")
+                if place.rig.operator is not None and not stage.capabilities().can_home:
+                    # Nothing can be asked of it: what an earlier program may have begun is waited for.
+                    run.conduct.sleep(stage.stop().ends_in_s)
                 place.zeros.given(name)
                 place.rig.find_zero(name)
             # A move that was stopped is still the last one: its failure is told here, and not taken for a new one.
@@ -285,6 +290,7 @@ class Runner:
 
     def _compute(self, run: Run) -> ProcessedRun:
         def announce(progress: Progress) -> None:
+            run.conduct.check()
             run.doing(progress.text)
 
         return self._place.worker.process(run.folder.path, announce)

@@ -57,6 +57,18 @@ def first_incomplete(plan: Plan, entries: Iterable[ManifestEntry]) -> int:
     return next((station.index for station in plan.stations if station.index not in done), len(plan.stations))
 
 
+def arriving(station: Station) -> bool:
+    """Whether its frames are taken while the stage comes to rest."""
+    return any(shot.role == "series" for shot in station.shots)
+
+
+def entered_at(plan: Plan, first: int) -> int:
+    """Return where to begin so that `first` is taken as planned: where the stage is to arrive, it has to come from."""
+    while 0 < first < len(plan.stations) and arriving(plan.stations[first]):
+        first -= 1
+    return first
+
+
 class Run:
     """A run that waits, is under way, or ended under this daemon; safe to use from any thread.
 

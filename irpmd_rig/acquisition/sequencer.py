@@ -12,13 +12,13 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from drivers.protocols import DeviceLost, Position, Refused
-from irpmd_rig.acquisition.arriving import await_arrival
+from irpmd_rig.acquisition.arriving import await_arrival, check_away
 from irpmd_rig.acquisition.capture import Photographer
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
 from irpmd_rig.acquisition.interlocks import check_move, has_zero
 from irpmd_rig.acquisition.rig import Rig
-from irpmd_rig.acquisition.runs import Run, first_incomplete
+from irpmd_rig.acquisition.runs import Run, arriving, first_incomplete
 from irpmd_rig.acquisition.settling import wait_until_still
 from irpmd_rig.recipes.estimate import targets
 from irpmd_rig.recipes.plan import Prompt, Shot, Station
@@ -106,6 +106,7 @@ class Sequencer:
             self._run.stations_done(station.index + 1)
             self._around.station_done(station.index)
             if station.decides:
+                self._run.conduct.check()
                 wanted = self._around.decide()
                 if wanted is None:
                     end = station.index + 1
@@ -170,7 +171,7 @@ class Sequencer:
 
     def _take_once(self, station: Station) -> None:
         run = self._run
-        if not _arriving(station):
+        if not arriving(station):
             self._move(station)
         if station.wait_s:
             run.doing(f"{station.label}: waits {station.wait_s:g} s")
@@ -183,7 +184,10 @@ class Sequencer:
             wait_until_still(lambda: shoot().frame)
         places = self._places()
         run.doing(f"{station.label}: {station.frames} frames")
-        taken = [self._arrive(station, shot) if _arriving(station) else self._shoot(shot) for shot in station.shots]
+        taken = [self._arrive(station, shot) if arriving(station) else self._shoot(shot) for shot in station.shots]
+        if arriving(station):
+            # Before its shots the stage stood at another place.
+            places = self._places()
         following = self._begin_next(station)
         self._keep(station, taken, places)
         if following is not None:
@@ -218,7 +222,7 @@ class Sequencer:
         following = self._run.plan.stations[station.index + 1 : station.index + 2]
         if not following or following[0].prompt is not None or self._run.conduct.asked is not None:
             return None
-        if station.decides or _arriving(following[0]):
+        if station.decides or arriving(following[0]):
             return None
         for name, target_mm in targets(following[0]).items():
             self._may_move(name, target_mm)
@@ -259,6 +263,7 @@ class Sequencer:
         for name, target_mm in targets(station).items():
             self._finish_move(name)
             self._may_move(name, target_mm)
+            check_away(self._rig.stage(name), target_mm)
             photographer.begin_move(name, target_mm)
             since_s = await_arrival(self._rig.stage(name), target_mm, self._run.conduct)
         frames = photographer.series(shot.counts, shot.steps, shot.repeats, since_s)
@@ -308,11 +313,6 @@ class Sequencer:
             attempt=self._run.attempt,
             **places,
         )
-
-
-def _arriving(station: Station) -> bool:
-    """Whether its frames are taken while the stage comes to rest."""
-    return any(shot.role == "series" for shot in station.shots)
 
 
 def _as_json(value: Any) -> Any:

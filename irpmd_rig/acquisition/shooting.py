@@ -128,7 +128,9 @@ class Shooter:
 
     # --- frames
 
-    def take(self, order: Callable[[PatternDeck], tuple[int, ...]], put: Put) -> tuple[list[Frame], int]:
+    def take(
+        self, order: Callable[[PatternDeck], tuple[int, ...]], put: Put, *, again: bool = True
+    ) -> tuple[list[Frame], int]:
         """Show patterns and take a frame of each.
 
         Parameters
@@ -137,6 +139,8 @@ class Shooter:
             Tells the indices of the patterns.
         put
             Called with each frame and its place in the order while the next one is exposed; returns what to keep.
+        again
+            Whether a burst of which anything is wrong is taken again.
 
         Returns
         -------
@@ -154,7 +158,7 @@ class Shooter:
             indices = self._shown(order)
             return self._burst(indices, put) if self._trigger == "hardware" else self._one_by_one(indices, put)
 
-        return self._attempts("a burst", attempt)
+        return self._attempts("a burst", attempt, again=again)
 
     def prepare(self, order: Callable[[PatternDeck], tuple[int, ...]]) -> None:
         """Do now what `take` would do before its first pattern."""
@@ -305,7 +309,7 @@ class Shooter:
 
     # --- again
 
-    def _attempts(self, what: str, take: Callable[[], Result]) -> tuple[Result, int]:
+    def _attempts(self, what: str, take: Callable[[], Result], *, again: bool = True) -> tuple[Result, int]:
         number = 1
         while True:
             try:
@@ -313,7 +317,7 @@ class Shooter:
                     return take(), number
             except _Missing as missing:
                 self._note(missing)
-                if number > self._settings.retries:
+                if not again or number > self._settings.retries:
                     raise _given_up(what, number, missing) from missing
             number += 1
 

@@ -15,6 +15,7 @@ from irpmd_rig.processing.job import Job, size_of
 from irpmd_rig.processing.preparing import write_findings
 from irpmd_rig.processing.regions import Mask, shrink
 from irpmd_rig.processing.values import ProcessedRun, Summary
+from irpmd_rig.processing.wishes import align_wishes
 
 ASK = "ask"
 """Key of a summary: what the operator is asked before the run goes on; not there if it need not."""
@@ -34,10 +35,12 @@ def align_run(job: Job) -> ProcessedRun:
         If frames are missing or fail their checks.
     Refused
         If the calibrations of camera and plate do not fit.
+    ProcessingError
+        If the recipe part of the record is wrong.
     MeasurementError
         As `irpmd_rig.core.preparation.alignment.glass_tilt`.
     """
-    stations = job.stations("mirror")
+    asked_for, stations = align_wishes(job.record), job.stations("mirror")
     job.chain.check_fringes(stations[0].counts)
     job.plan(len(stations) + 1)
     job.step("where the sprayed mirror and the glass are seen")
@@ -47,21 +50,20 @@ def align_run(job: Job) -> ProcessedRun:
         job.step(f"tilt of the glass, round {number}")
         phase = job.phase(station, take=True)
         tilts.append(_glass_tilt(job, phase.phase_rad, regions))
-    recipe = job.record.recipe
-    tolerance_rad, rounds = float(np.deg2rad(recipe["tolerance_deg"])), recipe["rounds"]  # type: ignore[arg-type]
+    tolerance_rad = float(np.deg2rad(asked_for.tolerance_deg))
     aligned = tilts[-1].within(tolerance_rad)
     turns = _turns_deg(tilts[-1], tolerance_rad)
     words = _words(tilts[-1], aligned)
     content: Content = {
         "is": "tilt of the ground glass against the mirror: turns about x and y of frame M, right-handed",
-        "tolerance_deg": recipe["tolerance_deg"],
+        "tolerance_deg": asked_for.tolerance_deg,
         "rounds": [_round(tilt) for tilt in tilts],
         "aligned": aligned,
         "next": None if aligned else instruction(turns),
     }
     write_findings(job, size_of(regions[0].shape), words, content)
     asked: dict[str, Summary] = {}
-    if not aligned and len(tilts) < rounds:  # type: ignore[operator]
+    if not aligned and len(tilts) < asked_for.rounds:
         asked = {ASK: instruction(turns), "turn_about_x_deg": turns[0], "turn_about_y_deg": turns[1]}
     return job.finished(
         words=words,

@@ -22,7 +22,7 @@ from irpmd_rig.processing.archive import (
 from irpmd_rig.processing.archive_rig import VARIATIONS, rig_content, variations_content
 from irpmd_rig.processing.calibrate import damaged_calibration, glass_station, one_pattern, same_size, station_quality
 from irpmd_rig.processing.errors import FramesUnusable
-from irpmd_rig.processing.frames import FringeStation
+from irpmd_rig.processing.frames import FringeStation, check_along_y
 from irpmd_rig.processing.glass import glass_outline
 from irpmd_rig.processing.job import Job
 from irpmd_rig.processing.phases import StationPhase
@@ -103,9 +103,11 @@ def _seen(job: Job, stations: tuple[FringeStation, ...]) -> _Seen:
         quality.append(station_quality(job, station, phase))
     across = None
     if job.has("mirror", "y"):
-        across = tuple(job.phase(station, take=True) for station in job.stations("mirror", "y"))
-        if len(across) != len(stations):
+        along_y = job.stations("mirror", "y")
+        if len(along_y) != len(stations):
             raise FramesUnusable("fringes along y are not there at every position of those along x", "measure again")
+        check_along_y(stations, along_y)
+        across = tuple(job.phase(station, take=True) for station in along_y)
     job.release()
     return _Seen(stations, tuple(phases), across, sprayed, tuple(glass), tuple(quality))
 

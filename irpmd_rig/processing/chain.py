@@ -155,13 +155,9 @@ class Chain:
 
     def check_fringes(self, counts: Sequence[float]) -> None:
         """Refuse calibrations whose absolute phase is counted in other fringes than ``counts``."""
-        for kind in ("calibrate-plate", "reference"):
-            theirs = self.content(kind)["counts"] if kind in self.uses else counts
-            if max(theirs) != max(counts):
-                raise Refused(
-                    f"{kind} {self.uses[kind]} has {max(theirs):g} fringes at the finest, this run {max(counts):g}",
-                    _ANOTHER,
-                )
+        reasons = self._other_fringes("calibrate-plate", counts) + self._other_fringes("reference", counts)
+        if reasons:
+            raise Refused("; ".join(reasons), _ANOTHER)
 
     def reference_positions(self, positions_mm: Sequence[float]) -> tuple[int, ...]:
         """Places, in the reference, of the stage positions of a measurement.
@@ -197,6 +193,8 @@ class Chain:
         try:
             self._find("reference", ACTIVE)
             reasons = self._misfits("reference") + self._faults("reference")
+            if self._record.fringes is not None:
+                reasons += self._other_fringes("reference", self._record.fringes.counts)
         except Refused as error:
             reasons = [error.what]
         if reasons:
@@ -241,11 +239,38 @@ class Chain:
             reasons.append(f"{kind} {run} was made with camera {theirs}, this is {ours.camera_serial}")
         limit = self._facts.calibration.max_age_days
         age = age_days(content)
+        if limit is not None and age is None:
+            reasons.append(f"{kind} {run} does not say when it was taken, the rig file allows {limit:g} days")
         if limit is not None and age is not None and age > limit:
             reasons.append(f"{kind} {run} is {age:.1f} days old, the rig file allows {limit:g}")
         if kind == "calibrate-geometry" and self._record.kind == "measure" and self.method[0] != "depth-equation":
             reasons += self._large_chi2()
+        if kind == "reference" and set(NEED_A_REFERENCE) & {self.method[0], *self.wishes.compare}:
+            reasons += self._before_geometry()
         return reasons
+
+    def _before_geometry(self) -> list[str]:
+        """Give the reason why the reference shows the rig as it was before its geometry was calibrated again."""
+        reference, geometry = self.content("reference"), self.content("calibrate-geometry")
+        theirs, ours = (reference.get("uses") or {}).get("calibrate-geometry"), self.uses["calibrate-geometry"]
+        taken, calibrated = _created(reference), _created(geometry)
+        if theirs == ours or taken is None or calibrated is None or taken >= calibrated:
+            return []
+        return [
+            f"reference {self.uses['reference']} goes with calibrate-geometry {theirs} and is older than "
+            f"calibrate-geometry {ours}"
+        ]
+
+    def _other_fringes(self, kind: Kind, counts: Sequence[float]) -> list[str]:
+        """Give the reason why the absolute phase of what is used for ``kind``, if anything, is counted otherwise."""
+        if kind not in self.uses:
+            return []
+        theirs = self.content(kind).get("counts")
+        if not theirs:
+            return [f"{kind} {self.uses[kind]} does not say its fringe counts"]
+        if max(theirs) == max(counts):
+            return []
+        return [f"{kind} {self.uses[kind]} has {max(theirs):g} fringes at the finest, this run {max(counts):g}"]
 
     def _large_chi2(self) -> list[str]:
         chi2 = (self.content("calibrate-geometry").get("rig_model") or {}).get("chi2_per_dof", 0.0)
@@ -272,17 +297,23 @@ class Chain:
             if method != "depth-equation" and not self.has_model:
                 reasons.append(f"{kind} {run} has no rig model, which {method} needs: take it at several positions")
             if method == "depth-equation" and len(positions) > 2:
-                reasons.append(f"{kind} {run} has no rig model, and the depth equation takes two positions")
+                reasons.append(f"the depth equation takes two positions, this run has {len(positions)}")
         return reasons
 
 
 def age_days(content: Content) -> float | None:
     """Age of a calibration's frames; None if it does not say."""
+    created = _created(content)
+    return None if created is None else (datetime.now(UTC) - created).total_seconds() / 86400
+
+
+def _created(content: Content) -> datetime | None:
+    """When a calibration's frames were taken, a time without offset as UTC; None if it does not say."""
     try:
         created = datetime.fromisoformat(content["created"])
     except (KeyError, TypeError, ValueError):
         return None
-    return (datetime.now(UTC) - created).total_seconds() / 86400
+    return created.replace(tzinfo=UTC) if created.tzinfo is None else created
 
 
 def check_uses(record: RunRecord, library: Library) -> dict[Kind, str]:
@@ -312,4 +343,6 @@ def check_uses(record: RunRecord, library: Library) -> dict[Kind, str]:
         chain.reference_positions(record.positions_mm)
     if record.optics is not None:
         chain.check_size(record.optics.size_px)
+    if record.fringes is not None:
+        chain.check_fringes(record.fringes.counts)
     return dict(chain.uses)

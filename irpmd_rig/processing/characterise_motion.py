@@ -16,6 +16,7 @@ from irpmd_rig.processing.job import Job, known_number, size_of
 from irpmd_rig.processing.preparing import write_findings
 from irpmd_rig.processing.regions import Mask, grow, shrink
 from irpmd_rig.processing.values import ProcessedRun
+from irpmd_rig.processing.wishes import settle_wishes
 from irpmd_rig.store.entries import ManifestEntry
 
 _SAMPLED_PX = 1500  # of each region and position: the phases' noise is then far below what the geometry leaves
@@ -62,9 +63,12 @@ def settle_run(job: Job) -> ProcessedRun:
     ------
     FramesUnusable
         If frames or their times are missing.
+    ProcessingError
+        If the recipe part of the record is wrong.
     MeasurementError
         As `irpmd_rig.core.preparation.timing.stage_offset_mm`.
     """
+    still_um = settle_wishes(job.record).still_um
     begin, end = job.stations("begin")[0], job.stations("end")[0]
     entries = _timed(job, "settle", "series")
     job.plan(4)
@@ -80,7 +84,6 @@ def settle_run(job: Job) -> ProcessedRun:
     maps = at_rest.phase_rad[0], at_rest.modulation_dn[0], at_rest.mean_dn[0]
     job.step(f"{len(entries)} frames after the motion")
     off = [stage_offset_mm(read_frame(job.folder, entry), *maps, growth) for entry in entries]
-    still_um = float(job.record.recipe["still_um"])  # type: ignore[arg-type]
     found = settling(np.array([_after_s(entry) for entry in entries]), np.array(off), 1e-3 * still_um)
     last_s = float(found.after_s[-1])
     words = (

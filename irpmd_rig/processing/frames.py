@@ -95,6 +95,28 @@ def fringe_stations(
     return tuple(_station(number, [e for e in wanted if e.station == number], label) for number in numbers)
 
 
+def check_along_y(stations: Sequence[FringeStation], across: Sequence[FringeStation]) -> None:
+    """Check that fringes along y are as those along x: the phases of both are taken as equally fine and noisy.
+
+    Parameters
+    ----------
+    stations, across
+        Along x and along y, in the same order, as many.
+
+    Raises
+    ------
+    FramesUnusable
+        If they differ in fringe counts or phase steps at any of them.
+    """
+    for along_x, along_y in zip(stations, across, strict=True):
+        if (along_y.counts, along_y.steps) != (along_x.counts, along_x.steps):
+            raise FramesUnusable(
+                f"station {along_x.number} ({along_x.label}): fringes along y differ from those along x in fringe "
+                "counts or phase steps",
+                "measure again",
+            )
+
+
 def _station(number: int, entries: list[ManifestEntry], label: str) -> FringeStation:
     where = f"station {number} ({label})"
     first = entries[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from irpmd_rig.core.reconstruction.views import Views
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
-from irpmd_rig.processing.frames import FringeStation
+from irpmd_rig.processing.frames import FringeStation, check_along_y
 from irpmd_rig.processing.glass import glass_mask
 from irpmd_rig.processing.job import Job
 from irpmd_rig.processing.optics import KnownRig, Optics
@@ -127,4 +127,5 @@ def _along_y(job: Job, stations: tuple[FringeStation, ...]) -> tuple[StationPhas
     across = job.stations("object", "y")
     if [station.number for station in across] != [station.number for station in stations]:
         raise FramesUnusable("fringes along y are not there at every position of those along x", "measure again")
+    check_along_y(stations, across)
     return tuple(job.phase(station, take=True) for station in across)

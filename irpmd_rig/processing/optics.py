@@ -53,7 +53,8 @@ class KnownRig:
     def varied_maps(self) -> Sequence[tuple[GlassMap, GlassMap]]:
         """Maps of the glass along x and y of each variation: seconds at the first call, then kept."""
         if not self._varied:
-            self._varied.extend((tabulate(model, 0), tabulate(model, 1)) for model in self.variations)
+            # All or none: what one failure left would pass for the whole at the next call.
+            self._varied.extend([(tabulate(model, 0), tabulate(model, 1)) for model in self.variations])
         return self._varied
 
 

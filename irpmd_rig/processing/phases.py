@@ -22,6 +22,8 @@ from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason
 
 _SAMPLE = 8  # pixels between those from which a map's typical values are taken
+# Many stations, whose maps would wait for each other: nobody asks for the sigma of their pixels.
+_WITHOUT_MODULATION = "plate"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +35,7 @@ class StationPhase:
     phase_rad
         float32 (H, W), NaN where not valid; the pattern's own error is removed.
     modulation_map_dn
-        float32 (H, W).
+        float32 (H, W); None where it is not kept: of the white plate.
     noise
         Of one pixel value.
     sigma_scale
@@ -45,7 +47,7 @@ class StationPhase:
     """
 
     phase_rad: NDArray[np.float32]
-    modulation_map_dn: NDArray[np.float32]
+    modulation_map_dn: NDArray[np.float32] | None
     noise: NoiseModel
     sigma_scale: float
     valid_fraction: float
@@ -60,6 +62,7 @@ class StationPhase:
 
     def sigma_in(self, window: Window) -> NDArray[np.float32]:
         """One sigma of the phase by the frames' own noise, in a window; rad, without meaning where not valid."""
+        assert self.modulation_map_dn is not None  # nobody asks it of the white plate
         modulation = self.modulation_map_dn[window]
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = np.sqrt(self.noise.variance_dn2(modulation)) / modulation
@@ -147,7 +150,8 @@ class Phases:
         # Levels that compensate a gamma are rounded in other ways than those that the error is known for.
         if folder.record().recipe.get("compensation") is None:
             self._pattern_error(folder, station).remove(result.phase_rad)
-        return _summarised(result)
+        summarised = _summarised(result)
+        return replace(summarised, modulation_map_dn=None) if station.label == _WITHOUT_MODULATION else summarised
 
     def _pattern_error(self, folder: RunFolder, station: FringeStation) -> PatternError:
         """Error of the images that `irpmd_rig.core.fringe_images` makes for this rig's projector."""

@@ -173,7 +173,7 @@ def _method_content(result: MethodResult, files: MethodFiles, nominal_mm: Sequen
         "facets": list(result.facets),
         "step_definition": result.definition,
         "steps": steps_content(result.steps, nominal_mm),
-        "step_covariance_um2": result.covariance_um2.tolist(),
+        "step_covariance_um2": [[known_number(value) for value in row] for row in result.covariance_um2.tolist()],
         "without_steps": result.without_steps or None,
         "chi2_per_dof": None if result.chi2_per_dof is None else known_number(result.chi2_per_dof),
         "checks": [check.content() for check in result.checks],
@@ -188,7 +188,7 @@ def _median(values: NDArray[np.float32]) -> float:
 def _checks(job: Job, optics: Optics, seen: ObjectViews) -> list[Check]:
     """Checks of the whole measurement; those of its frames are in its positions."""
     off = job.chain.off
-    found = [Check("calibration", not off, "; ".join(off) or "of this camera, not too old")]
+    found = [Check("calibration", not off, "; ".join(off) or _fitness(job))]
     if optics.rig is not None:
         limit, chi2 = job.chain.wishes.max_chi2, optics.rig.chi2_per_dof
         says = f"chi2 of the rig model {chi2:.2f} a degree of freedom"
@@ -199,6 +199,14 @@ def _checks(job: Job, optics: Optics, seen: ObjectViews) -> list[Check]:
             says = f"by the glass seen in the same frames the stage stood up to {worst:+.1f} um beside its reading"
             found.append(Check("stage positions", abs(worst) <= window_um, says, abs(worst), window_um))
     return found
+
+
+def _fitness(job: Job) -> str:
+    """Say what is known of calibrations in which no fault was found: no more."""
+    used = [job.chain.content(kind) for kind in job.chain.uses]
+    camera = job.record.optics is not None and all(content.get("camera_serial") is not None for content in used)
+    age = all(age_days(content) is not None for content in used)
+    return f"{'of this camera' if camera else 'camera not known'}, {'not too old' if age else 'age not known'}"
 
 
 def steps_content(steps: Sequence[StepFigures], nominal_mm: Sequence[float]) -> list[Content]:

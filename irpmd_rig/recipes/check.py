@@ -39,6 +39,7 @@ def check(recipe: Recipe, plan: Plan, equipment: Equipment, document: Document) 
         *_choices(recipe, equipment),
         *_patterns(recipe, equipment),
         *_scenes(recipe, equipment),
+        *_timing(plan, equipment),
     )
     return tuple(sorted({problem_at(document, *finding) for finding in findings}))
 
@@ -148,3 +149,18 @@ def _scenes(recipe: Recipe, equipment: Equipment) -> Iterator[Finding]:
     for location, subject in asked:
         if subjects is not None and subject not in subjects:
             yield location, f"the world has no {subject!r}", nearest(subject, subjects)
+
+
+def _timing(plan: Plan, equipment: Equipment) -> Iterator[Finding]:
+    """What cannot be timed, since nobody tells when it happens, or the driver itself waits."""
+    for station in plan.stations:
+        roles = {shot.role for shot in station.shots}
+        for name in targets(station) if "series" in roles else ():
+            axis = equipment.stages.get(name)
+            if axis is not None and not axis.reads_position:
+                what = f"the controller of {name} does not say when it arrives, so the time cannot be measured"
+                yield ("what",), what, "use a stage whose controller tells its position"
+        if "switched" in roles and equipment.display_delay_s:
+            waits_s = equipment.display_delay_s
+            what = f"the projector's driver waits {waits_s:g} s after each picture, which would be measured, too"
+            yield ("what",), what, "set display_delay_s: 0 in the rig file while measuring"

@@ -18,12 +18,15 @@ class Axis:
         Speed of moves; None: not known.
     settle_s : float
         Its own settle time in seconds.
+    reads_position : bool
+        Whether its controller tells where it is; True also where that is not known.
     """
 
     lower_mm: float
     upper_mm: float
     speed_mm_per_s: float | None = None
     settle_s: float = 0.0
+    reads_position: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,8 @@ class Equipment:
         What an operator who is a program can place; None: a person places anything.
     board_poses : int or None
         In how many poses he can hold the board.
+    display_delay_s : float or None
+        How long the projector's driver itself waits after each picture, in seconds.
     """
 
     stages: Mapping[str, Axis] = field(default_factory=dict)
@@ -67,3 +72,4 @@ class Equipment:
     trigger: str = "hardware"
     subjects: tuple[str, ...] | None = None
     board_poses: int | None = None
+    display_delay_s: float | None = None

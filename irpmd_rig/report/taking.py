@@ -195,10 +195,18 @@ def used_section(run: Run) -> Section | None:
         content = run.used.get(kind)
         created = None if content is None else content.get("created")
         age = days_between(created, (run.content or {}).get("created"))
-        told = "its folder is not at hand" if content is None else key_figure(kind, content)
+        told = "its folder is not at hand" if content is None else _found(kind, content)
         rows.append((kind, run_id, moment(created), MISSING if age is None else f"{age:.2f}", told))
     table = Table(("kind", "run", "taken", "days before", "what it found"), tuple(rows))
     return Section("Calibrations used", (table,))
+
+
+def _found(kind: str, content: Content) -> str:
+    """What a calibration found; one that a script wrote need not say all that ours do."""
+    try:
+        return key_figure(kind, content)
+    except (KeyError, TypeError, ValueError, IndexError):
+        return MISSING
 
 
 def key_figure(kind: str, content: Content) -> str:

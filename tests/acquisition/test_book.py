@@ -105,6 +105,23 @@ def test_a_damaged_folder_hides_nothing_else(tmp_path: Path) -> None:
         again.book.live(bad)
 
 
+def test_a_folder_that_cannot_be_changed_keeps_no_daemon_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    life = Life(tmp_path)
+    bad, good = life.submit(), life.submit()
+    life.book.live(bad).become(RunState.PREPARING)
+    del life
+
+    def refuse(_: object) -> None:
+        raise PermissionError("read-only")
+
+    monkeypatch.setattr("irpmd_rig.acquisition.book.withdraw_partial", refuse)
+    again = Life(tmp_path)
+    assert again.interrupted == ()
+    assert again.queue.waiting() == (good,)
+
+
 def test_a_folder_written_by_hand_is_listed_and_not_run(tmp_path: Path) -> None:
     life = Life(tmp_path)
     run_id = "20260101-000000-abcdef"

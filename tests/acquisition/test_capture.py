@@ -163,6 +163,16 @@ def test_a_sync_pulse_in_the_middle_that_is_missed_repeats_the_burst(pair):
     np.testing.assert_allclose(columns(decode(taken.images, COUNTS)) - np.arange(2, 1024, 4), 0.0, atol=1.5)
 
 
+def test_a_burst_in_series_of_which_a_frame_is_lost_is_not_taken_again(pair):
+    photographer = pair.photographer("hardware")
+    photographer.expose(exposure_us=2500.0)
+    photographer.prepare_series((8.0,), 4, 10)
+    pair.twin.faults.drop_next()
+    with pytest.raises(FramesLost, match="failed 1 times"):
+        photographer.series((8.0,), 4, 10, time.monotonic())
+    assert photographer.faults["lost"] == 1
+
+
 def test_frames_that_never_come_end_in_one_error_in_bounded_time(photographer, pair):
     photographer.expose("white", 8000.0)
     pair.twin.faults.miss_triggers(100)

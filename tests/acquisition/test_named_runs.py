@@ -60,3 +60,17 @@ def test_what_has_no_results_cannot_serve(store: Store) -> None:
     told = problems(store, geometry, reference)
     assert told
     assert geometry in told[0]
+
+
+def test_a_compensation_that_cannot_serve_is_told_and_one_that_waits_may(store: Store) -> None:
+    intake = Intake(lambda: FILE, lambda: EQUIPMENT, dict, store)
+
+    def told(run_id: str) -> list[str]:
+        text = f"kind: reference\nname: x\ncalibration: active\ncompensation: {run_id}\n"
+        return [str(problem) for problem in intake.read(RecipeText(text)).problems]
+
+    assert told(made(store, "characterise")) == []
+    (unknown,) = told("20260101-000000-abcdef")
+    assert unknown.startswith("recipe:4:15: compensation 20260101-000000-abcdef cannot be used")
+    (without_table,) = told(made(store, "characterise", *TO_SUCCESS))
+    assert "cannot be used" in without_table

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from daemon_world import at_rest, ended
 
+from irpmd_rig.acquisition.book import RecipeRefused
 from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RecipeText, RigDaemon
+from irpmd_rig.acquisition.rig import Rig
 from irpmd_rig.acquisition.status import RunStatus
 from irpmd_rig.shipped import world_file
 from irpmd_rig.store.states import Reason, RunState
@@ -118,12 +120,29 @@ def test_gamma_is_found_and_taken_away_by_runs_that_name_it(daemon: RigDaemon) -
     assert daemon.store.run(run_id).record().recipe["what"] == "gamma"
 
 
-def test_a_compensation_that_is_none_is_refused_before_anything_moves(daemon: RigDaemon) -> None:
-    recipe = "{kind: characterise, what: focus, name: x, compensation: 20200101-000000-abcdef}"
-    status = _ended(daemon, recipe)
+def test_a_compensation_that_is_none_is_refused_before_anything_moves(
+    daemon: RigDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    homed: list[str] = []
+    monkeypatch.setattr("irpmd_rig.acquisition.runner.has_zero", lambda _: False)
+    monkeypatch.setattr(Rig, "find_zero", lambda _, name: homed.append(name))
+    recipe = "{kind: characterise, what: settle, name: x, compensation: %s}"
+    with pytest.raises(RecipeRefused, match="compensation 20200101-000000-abcdef cannot be used"):
+        daemon.submit(RecipeText(recipe % "20200101-000000-abcdef"))
+    # One that waits may serve when its turn has come: it does not.
+    daemon.queue_action("hold")
+    named, _ = daemon.submit(RecipeText("{kind: characterise, what: gamma, name: gamma}"))
+    submitted, _ = daemon.submit(RecipeText(recipe % named.id))
+    lease = daemon.take_lease("Ada", 60).id
+    daemon.act(named.id, "abort", lease)
+    daemon.release_lease(lease)
+    daemon.queue_action("resume")
+    status = ended(daemon, submitted.id, 60.0)
     assert (status.state, status.reason) == (RunState.FAILED, Reason.REFUSED)
-    assert "compensation 20200101-000000-abcdef cannot be used" in status.detail
+    assert f"compensation {named.id} cannot be used" in status.detail
     assert not status.frames
+    # Not even a zero was looked for.
+    assert homed == []
 
 
 def test_focus_and_exposure(daemon: RigDaemon) -> None:

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,12 +25,12 @@ from drivers.protocols import (
 from irpmd_rig.acquisition.captured import CapturedFrame, FrameQuality, FringeFrames
 from irpmd_rig.acquisition.conduct import Ending, RunEnded
 from irpmd_rig.acquisition.events import EventLog
-from irpmd_rig.acquisition.runs import Run, first_incomplete
+from irpmd_rig.acquisition.runs import Run, entered_at, first_incomplete
 from irpmd_rig.acquisition.sequencer import Sequencer, Surroundings
 from irpmd_rig.core.quality import FrameReport
 from irpmd_rig.recipes.equipment import Equipment
 from irpmd_rig.recipes.estimate import estimate
-from irpmd_rig.recipes.plan import Prompt, Scene, plan
+from irpmd_rig.recipes.plan import Plan, Prompt, Scene, plan
 from irpmd_rig.recipes.reading import read_recipe
 from irpmd_rig.store.record import RunRecord
 from irpmd_rig.store.states import Reason, RunState, Transition
@@ -44,12 +45,18 @@ TWO = """
   - {do: move, stage: stage1, position_mm: 20}
   - {do: capture, label: far}
 """
+SETTLE = (
+    "kind: characterise\nwhat: settle\nname: s\nfringes: {counts: [8, 7], steps: 3}\nexposure_us: 1000.0\n"
+    "positions_mm: [20, 0]\nframes: 10\n"
+)
 PERSON = "  - {do: prompt, text: Turn it.}\n  - {do: capture, label: turned}\n"
 REPORT = FrameReport((), 1.0, (50.0,), 0.9, float("nan"), 100, True, True, ())
 
 
 class StageFake:
     """A stage that arrives at once; `fails` is raised by the next wait."""
+
+    name = "stage1"
 
     def __init__(self, log: list[str]) -> None:
         self.log = log
@@ -113,6 +120,13 @@ class PhotographerFake:
         )
         return FringeFrames(frames, images)
 
+    def prepare_series(self, *_: object) -> None:
+        self.log.append(f"series is prepared at {self.stage.at_mm:g}")
+
+    def series(self, _counts: object, _steps: int, frames: int, _since_s: float) -> tuple[CapturedFrame, ...]:
+        self.log.append(f"series at {self.stage.at_mm:g}")
+        return tuple(self._captured("series", np.zeros((4, 4), np.uint8)) for _ in range(frames))
+
     def check(self, taken: FringeFrames) -> FringeFrames:
         if self.faulty and self.faulty.pop(0):
             self.log.append("faulty")
@@ -159,6 +173,7 @@ class Bench:
         self.done: list[int] = []
         self.asked: list[Prompt | None] = []
         self.person: Callable[[], object] = lambda: None
+        self.at_done: Callable[[], object] = lambda: None
         self.run.become(RunState.PREPARING)
         self.run.become(RunState.RUNNING)
 
@@ -168,11 +183,15 @@ class Bench:
         self.person()
         yield
 
+    def station_done(self, station: int) -> None:
+        self.done.append(station)
+        self.at_done()
+
     def execute(self, first: int = 0, prompt_limit_s: float = 5.0) -> None:
         around = Surroundings(
             lambda: self.photographer,  # type: ignore[arg-type, return-value]
             self.at_ease,
-            self.done.append,
+            self.station_done,
             lambda: self.asked.pop(0) if self.asked else None,
             prompt_limit_s,
         )
@@ -324,3 +343,34 @@ def test_pause_waits_for_the_stage_and_turns_the_light_off(tmp_path: Path) -> No
     assert bench.log[at + 1] == "move 20"
     states = [state.state for state in bench.run.folder.states()]
     assert states[-2:] == [RunState.PAUSED, RunState.RUNNING]
+
+
+def test_frames_of_an_arrival_are_recorded_where_the_stage_arrived(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TWO)
+    bench.run.plan = plan(read_recipe(SETTLE)[0])
+    bench.execute()
+    assert [entry for entry in bench.log if entry.startswith("series")] == ["series is prepared at 20", "series at 0"]
+    found = {(entry.station, entry.stage1_mm, entry.stage1_measured) for entry in bench.run.folder.manifest()}
+    assert found == {(0, 20.0, True), (1, 0.0, True), (3, 0.0, True)}
+
+
+def test_an_arrival_is_not_believed_where_nothing_moves(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TWO)
+    bench.run.plan = plan(read_recipe(SETTLE)[0])
+    with pytest.raises(Refused, match="stands at 0 mm already"):
+        bench.execute(first=3)
+    assert "series at 0" not in bench.log
+    # Taken up again where the stage comes from.
+    assert [entered_at(bench.run.plan, first) for first in range(5)] == [0, 1, 2, 2, 4]
+
+
+def test_a_run_that_was_ended_meanwhile_decides_nothing(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TWO)
+    first, *others = bench.run.plan.stations
+    bench.run.plan = Plan((replace(first, decides=True), *others))
+    bench.asked.append(None)
+    ending = Ending(RunState.ABORTED, Reason.ABORTED_BY_USER, "Ada")
+    bench.at_done = lambda: bench.run.conduct.end(ending)
+    with pytest.raises(RunEnded, match="Ada"):
+        bench.execute()
+    assert bench.asked == [None]

@@ -86,6 +86,11 @@ def lab(tmp_path_factory):
         yield client, folder
 
 
+def test_the_script_is_printed_in_the_readme():
+    readme = Path(__file__).parents[2] / "README.md"
+    assert Path(lab_script.__file__).read_text(encoding="utf-8") in readme.read_text(encoding="utf-8")
+
+
 def test_the_script_of_the_readme_runs_as_it_is_printed(lab):
     client, folder = lab
     text = Path(lab_script.__file__).read_text(encoding="utf-8").replace("Client()", f"Client({client.url!r})")

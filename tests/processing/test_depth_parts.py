@@ -1,14 +1,20 @@
 """The pieces of a measurement that are cut up for speed and memory give what the whole would."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from irpmd_rig.core import Intrinsics, Plane, rays, reference_frame
 from irpmd_rig.core.reconstruction.depth_equation import equation_depth
-from irpmd_rig.core.reconstruction.views import Views
+from irpmd_rig.core.reconstruction.views import DepthMap, Views
+from irpmd_rig.processing import FramesUnusable, optics
 from irpmd_rig.processing.depth import depth_map, windowed
+from irpmd_rig.processing.estimates import MethodResult
 from irpmd_rig.processing.evaluate import Change, evaluate, facet_means, step_covariances_um2
+from irpmd_rig.processing.frames import FringeStation, check_along_y
 from irpmd_rig.processing.regions import bounding_box, common, grow, inside, lit, overlap, shrink, within
+from irpmd_rig.processing.report import MethodFiles, _method_content
 
 LENS = Intrinsics((400, 300), (460.0, 461.0), (198.0, 151.0), (-0.14, 0.15, -4e-5, -1.6e-4, 0.0))
 WINDOW = slice(37, 213), slice(51, 301)
@@ -127,3 +133,39 @@ def test_the_mean_over_a_facet_leaves_unknown_pixels_out():
     labels = np.array([[0, 1, 1, 2], [3, 0, 1, 2]], np.int32)
     change = np.array([[9.0, 1.0, 2.0, np.nan], [5.0, 9.0, 3.0, np.nan]])
     np.testing.assert_array_equal(facet_means(change, labels, 3), [2.0, np.nan, 5.0])
+
+
+def test_fringes_along_y_are_as_those_along_x():
+    along_x = tuple(FringeStation(number, "object", "x", (64.0, 63.0, 56.0), 4, ()) for number in range(2))
+    along_y = tuple(replace(station, orientation="y") for station in along_x)
+    check_along_y(along_x, along_y)
+    for other in ({"counts": (48.0, 47.0, 42.0)}, {"steps": 5}):
+        with pytest.raises(FramesUnusable, match=r"station 1 \(object\): fringes along y differ"):
+            check_along_y(along_x, (along_y[0], replace(along_y[1], **other)))
+
+
+def test_maps_of_the_glass_are_kept_all_or_none(monkeypatch):
+    rig = optics.KnownRig(None, (1, 2), np.empty((0, 2)), None, 1.0, None)
+
+    def tabulated(model, axis):
+        if model == 2 and failing:
+            raise MemoryError
+        return model, axis
+
+    monkeypatch.setattr(optics, "tabulate", tabulated)
+    failing = True
+    with pytest.raises(MemoryError):
+        rig.varied_maps()
+    failing = False
+    assert rig.varied_maps() == [((1, 0), (1, 1)), ((2, 0), (2, 1))]
+
+
+def test_an_unknown_covariance_is_none_in_json():
+    nothing = np.full((3, 4), np.nan, np.float32)
+    maps, window = DepthMap(nothing, nothing), (slice(0, 3), slice(0, 4))
+    covariance = np.array([[4.0, np.nan], [np.nan, np.inf]])
+    result = MethodResult(
+        "facets", maps, window, np.zeros((3, 4), np.int32), (), (), covariance, "", "", np.nan, None, ()
+    )
+    content = _method_content(result, MethodFiles("depth.npy", "sigma.npy"), ())
+    assert content["step_covariance_um2"] == [[4.0, None], [None, None]]

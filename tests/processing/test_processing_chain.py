@@ -126,6 +126,7 @@ def test_a_folder_written_by_hand_gives_the_same_depth(chain, tmp_path):
     content = results.read_json("result.json")
     assert content["created"] is None
     assert content["camera_serial"] is None
+    assert content["checks"][0]["says"] == "camera not known, not too old"
     assert content["positions"][0]["checked"] == "now"
     assert content["positions"][0]["exposure_us"] is None
     assert content["positions"][0]["stage1_measured"] is False
@@ -168,6 +169,14 @@ def test_a_station_is_decoded_once_and_again_if_it_was_taken_again(chain, tmp_pa
     again = phases.at(folder, fringe_stations(folder.manifest(), "object")[0])
     assert again is not known
     np.testing.assert_array_equal(again.phase_rad, known.phase_rad)
+
+
+def test_the_modulation_of_the_white_plate_is_not_kept(chain):
+    for kind, label, kept in (("calibrate-plate", "plate", False), ("measure", "object", True)):
+        folder = chain.folders[kind]
+        known = Phases().at(folder, fringe_stations(folder.manifest(), label)[0])
+        assert (known.modulation_map_dn is not None) is kept
+        assert known.sigma_rad > 0
 
 
 def test_old_and_new_results_never_lie_side_by_side(chain, tmp_path):

@@ -2,15 +2,17 @@
 
 import json
 import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import tifffile
 
 from irpmd_rig.processing import FramesUnusable, ProcessingError, Refused
-from irpmd_rig.processing.chain import check_uses
+from irpmd_rig.processing.chain import Chain, age_days, check_uses
 from irpmd_rig.processing.process import process, reconstruct
-from irpmd_rig.store import Optics, Reason, RunFolder
+from irpmd_rig.processing.wishes import align_wishes, settle_wishes
+from irpmd_rig.store import Fringes, Optics, Reason, RunFolder, RunRecord
 
 
 @pytest.fixture
@@ -91,6 +93,74 @@ def test_a_reference_of_another_camera_calibration_is_refused(chain):
         assert refusal(chain, record_of(chain))
     finally:
         path.write_text(original)
+
+
+@contextmanager
+def changed(folder, **parts):
+    """A calibration or reference with other content for a while."""
+    path = folder.results.path("calibration.json")
+    original = path.read_text()
+    try:
+        path.write_text(json.dumps({**json.loads(original), **parts}))
+        yield
+    finally:
+        path.write_text(original)
+
+
+def test_a_reference_from_before_the_geometry_was_calibrated_again_is_off(chain):
+    reference = chain.folders["reference"]
+    uses = {**reference.results.read_json("calibration.json")["uses"], "calibrate-geometry": "20200101-000000-000000"}
+    record = record_of(chain)
+    with changed(reference, uses=uses):
+        assert check_uses(record, chain.runs.library)  # taken after it
+    with changed(reference, created="2020-01-01T00:00:00+00:00"):
+        assert check_uses(record, chain.runs.library)  # goes with it
+    with changed(reference, uses=uses, created=None):
+        assert check_uses(record, chain.runs.library)
+    with changed(reference, uses=uses, created="2020-01-01T00:00:00"):
+        said = refusal(chain, record)
+        assert "goes with calibrate-geometry 20200101-000000-000000 and is older than" in said
+        marked = record_of(chain, recipe={**record.recipe, "if_calibration_is_off": "mark"})
+        assert "is older than" in "; ".join(Chain(marked, chain.runs.library).off)
+
+
+def test_a_calibration_of_unknown_age_is_refused_where_the_rig_file_limits_it(chain):
+    rig = {**chain.folders["measure"].record().rig, "calibration": {"max_age_days": 30}}
+    with changed(chain.folders["calibrate-plate"], created=None):
+        assert check_uses(record_of(chain), chain.runs.library)
+        said = refusal(chain, record_of(chain, rig=rig))
+    assert "does not say when it was taken, the rig file allows 30 days" in said
+
+
+def test_a_time_without_offset_is_utc():
+    naive, aware = (age_days({"created": f"2026-01-01T00:00:00{offset}"}) for offset in ("", "+00:00"))
+    assert naive == pytest.approx(aware, abs=1e-3)
+    assert age_days({}) is None
+
+
+def test_other_fringes_are_refused_before_anything_moves(chain):
+    said = refusal(chain, record_of(chain, fringes=Fringes(counts=(32, 31, 28), steps=4)))
+    assert "has 64 fringes at the finest, this run 32" in said
+
+
+def test_a_reference_of_other_fringes_is_not_taken_by_a_method_that_needs_none(chain):
+    model = {"rig_model": {"chi2_per_dof": 1.0}}
+    with (
+        changed(chain.folders["calibrate-geometry"], **model),
+        changed(chain.folders["reference"], counts=[32, 31, 28]),
+    ):
+        without = Chain(record_of(chain), chain.runs.library)
+        assert "reference" not in without.uses
+        assert "has 32 fringes at the finest, this run 64" in without.without_reference
+        assert "reference" not in check_uses(record_of(chain), chain.runs.library)
+
+
+def test_a_recipe_part_without_its_figures_has_the_recipes_own():
+    turns = align_wishes(RunRecord(kind="align"))
+    assert (turns.tolerance_deg, turns.rounds) == (0.03, 5)
+    assert settle_wishes(RunRecord(kind="characterise", recipe={"what": "settle"})).still_um == 1.0
+    with pytest.raises(ProcessingError, match=r"recipe\.still_um"):
+        settle_wishes(RunRecord(kind="characterise", recipe={"still_um": "little"}))
 
 
 def test_a_rig_part_that_is_wrong_is_said(chain):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from irpmd_rig.recipes.plan import Axis, Equipment, Estimate, check, estimate, plan
@@ -145,3 +147,16 @@ def test_time_adds_up() -> None:
     assert _taken(still.replace("30000", "auto")).seconds > 2.7
     # The frame rate is the camera's, however short the exposure.
     assert _taken(still.replace("30000", "30")).seconds == pytest.approx(2.2 + 24 * 0.0111)
+
+
+def test_what_cannot_be_timed_is_told_before_anything_moves() -> None:
+    settle = "kind: characterise\nwhat: settle\nname: x\nobject: mirror"
+    assert _told(settle) == []
+    stages = {"stage1": Axis(-80, 220, 20, 0.2, reads_position=False)}
+    (told,) = _told(settle, replace(_RIG, stages=stages))
+    assert told.startswith("r:2:7: the controller of stage1 does not say when it arrives")
+    delay = "kind: characterise\nwhat: delay\nname: x\nobject: mirror"
+    assert _told(delay, replace(_RIG, display_delay_s=0.0)) == []
+    (told,) = _told(delay, replace(_RIG, display_delay_s=0.1))
+    assert told.startswith("r:2:7: the projector's driver waits 0.1 s")
+    assert "display_delay_s: 0 in the rig file" in told

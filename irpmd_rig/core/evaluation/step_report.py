@@ -95,7 +95,8 @@ def steps_of(estimate: SurfaceEstimate) -> StepReport:
     Raises
     ------
     EvaluationError
-        If there are fewer than two facets, or a curved one ends too far from its neighbour to be continued to it.
+        If there are fewer than two facets, or a curved one ends too far from its neighbour to be continued to it, or
+        lies around the same centre as its neighbour, or has no pixel near the line between their centres.
     """
     facets = estimate.facets
     if len(facets) < 2:
@@ -137,11 +138,20 @@ def _place(lower: FacetEstimate, upper: FacetEstimate) -> Array:
         return np.asarray(middle)
     span = upper.centre_mm - lower.centre_mm
     distance = float(np.linalg.norm(span))
+    if distance == 0:
+        raise EvaluationError(
+            f"facets {lower.facet} and {upper.facet} have the same centre: between them there is no gap for a step"
+        )
     along = span / distance
     ends = []
     for facet, sign in ((lower, 1.0), (upper, -1.0)):
         offset = facet.surface.points_mm(facet.pixels)[:, :2] - middle
         near = np.abs(offset @ np.array([-along[1], along[0]])) <= _STRIP * distance
+        if not near.any():
+            raise EvaluationError(
+                f"facet {facet.facet} has no pixel near the line between the centres of facets {lower.facet} and "
+                f"{upper.facet}: where the gap between them lies is not known"
+            )
         ends.append(sign * float((sign * (offset[near] @ along)).max()))
     return np.asarray(middle + along * (ends[0] + ends[1]) / 2)
 

@@ -197,10 +197,15 @@ def _described(
     used = sum(int(np.isfinite(pull).sum()) for pull in pulls)
     chi2 = sum(float(np.nansum(pull**2)) for pull in pulls) / max(used - float(np.sum(inverse * normal)), 1.0)
     columns, rows = facet.pixels.T
+    # A facet may show no phase at one of several positions.
     coherence = max(
-        correlation_inflation(rows[known], columns[known], pull[known])
-        for pull in pulls
-        for known in [np.isfinite(pull)]
+        (
+            correlation_inflation(rows[known], columns[known], pull[known])
+            for pull in pulls
+            for known in [np.isfinite(pull)]
+            if known.any()
+        ),
+        default=1.0,
     )
     return SurfaceFit(coefficients, inverse * max(chi2, 1.0) * coherence, smoothing, chi2, coherence)
 

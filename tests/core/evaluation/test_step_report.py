@@ -1,5 +1,7 @@
 """Steps of estimated surfaces: one definition, for curved facets across their gap too."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,15 @@ def test_a_step_needs_two_facets(mirrors):
     one = Facets(np.where(found.labels == 1, 1, 0).astype(np.int32), 1, 0.08)
     with pytest.raises(EvaluationError, match="two facets, and 1"):
         steps_of(estimate_surfaces(mirrors.views_with(0.0, 0), depth, one, mirrors.model))
+
+
+@pytest.mark.parametrize(("apart_mm", "said"), [(0.0, "have the same centre"), (1e-6, "facet 1 has no pixel near")])
+def test_curved_facets_without_a_gap_between_them_have_no_step(mirrors, apart_mm, said):
+    estimate = estimated(mirrors)
+    lower, upper = estimate.facets
+    around = replace(upper, centre_mm=np.add(lower.centre_mm, (apart_mm, 0.0)))
+    with pytest.raises(EvaluationError, match=said):
+        steps_of(replace(estimate, facets=(lower, around)))
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.09, 0.25])

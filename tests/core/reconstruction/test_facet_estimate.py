@@ -212,6 +212,20 @@ def test_facets_with_too_few_pixels_and_parts_that_leave_the_glass_are_said(trea
     assert steps_of(estimate).names == ("2-3", "3-4", "4-5")
 
 
+def test_a_facet_that_is_not_seen_at_one_of_three_positions_is_estimated_from_the_others():
+    treads = seen("mirror_step_y", (0.0, 20.0, 40.0))
+    facets = find_facets(treads.depth_with(DEPTH_SIGMA_MM, 0).depth_mm)
+    views = treads.views_with(SIGMA_RAD, 0)
+    gone = np.where(facets.labels == 2, np.nan, views.phases_rad[1])
+    views = replace(views, phases_rad=(views.phases_rad[0], gone, views.phases_rad[2]))
+    estimate = estimate_surfaces(views, treads.depth_with(DEPTH_SIGMA_MM, 0), facets, treads.model)
+    assert [facet.facet for facet in estimate.facets] == [1, 2, 3, 4, 5]
+    assert "facet 2: at 20 mm only 0% of its pixels" in estimate.remarks[0]
+    steps = steps_of(estimate)
+    error = steps.values_mm - true_steps_mm(treads.world, "mirror_step_y")
+    assert (np.abs(error) < 4 * steps.sigma_mm).all()
+
+
 def test_phases_that_determine_no_surface_are_said(treads, facets):
     views = treads.views_with(SIGMA_RAD, 0)
     torn = [np.where(facets.labels == 2, np.nan, phase) for phase in views.phases_rad]

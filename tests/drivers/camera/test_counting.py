@@ -21,8 +21,30 @@ def test_a_gap_is_a_lost_frame_and_keeps_its_place():
 
 def test_a_frame_that_comes_again_is_stale_and_takes_no_place():
     count = FrameCount(3)
-    assert [count.frame(number).index for number in (5, 5, 6, 6, 7)] == [0, None, 1, None, 2]
+    assert [count.frame(number).index for number in (5, 6, 6, 7)] == [0, 1, None, 2]
     assert count.complete
+
+
+def test_the_first_frame_that_comes_again_is_known_by_its_time_or_by_what_the_camera_did_before():
+    count = FrameCount(3)
+    times_s = ((5, 1.0), (5, 1.0), (6, 1.5), (7, 2.0))
+    assert [count.frame(number, 0, time_s).index for number, time_s in times_s] == [0, None, 1, 2]
+    assert count.advances
+    count = FrameCount(2, advances=True)
+    assert [count.frame(number).index for number in (5, 5, 6)] == [0, None, 1]
+
+
+def test_of_a_camera_that_counts_nothing_no_frame_is_lost():
+    count = FrameCount(3)
+    assert [count.frame(0) for _ in range(3)] == [Arrival(0, 0), Arrival(0, 1), Arrival(0, 2)]
+    assert count.complete
+    assert not count.advances
+    count = FrameCount(3)
+    assert [count.frame(0, 0, time_s).index for time_s in (1.0, 1.5, 1.5, 2.0)] == [0, 1, None, 2]
+    count = FrameCount(3)
+    count.frame(0)
+    assert count.incomplete() == 1
+    assert count.frame(0) == Arrival(0, 2)
 
 
 def test_an_incomplete_frame_keeps_its_place():

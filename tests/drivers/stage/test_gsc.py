@@ -201,6 +201,14 @@ def test_a_home_that_nobody_sees_is_proved_by_a_short_way_there_and_back(
     assert peer.heard.count(b"H:1\r\n") == 3
 
 
+def test_a_zero_that_lies_on_the_limit_switch_is_left_and_found(stage: SerialStage, peer: Peer, gsc: Gsc) -> None:
+    gsc.counts_per_s = 5_000.0
+    # The switch lets go of it only after some of the way.
+    peer.answer = lambda frame: gsc(frame).replace(b",K,K,", b",K,L,") if gsc.counts() < 300 else gsc(frame)
+    assert stage.home() == Position(0.0, measured=True)
+    assert peer.heard.count(b"H:1\r\n") == 2
+
+
 def test_a_controller_that_accepts_and_does_not_move_has_no_zero(stage: SerialStage, gsc: Gsc) -> None:
     gsc.override = {b"H:": b"OK\r\n", b"G:": b"OK\r\n"}
     with pytest.raises(MotionFailed, match=r"-0\.5000 mm from its target"):
