@@ -12,7 +12,11 @@ CHAIN = (
     "{kind: calibrate-geometry, name: geometry}",
     "{kind: reference, name: reference, positions_mm: [0, 40]}",
 )
-MEASURE = f"{{kind: measure, name: a step, object: mirror_step_y, nominal_steps_mm: {list(NOMINAL_MM)}}}"
+# So few pixels are hardly enough for a facet of its own; the paper's method finds all of them.
+MEASURE = (
+    "{kind: measure, name: a step, object: mirror_step_y, method: depth-equation, "
+    f"nominal_steps_mm: {list(NOMINAL_MM)}}}"
+)
 
 _BEGINNING = """kind: sequence
 name: stations

@@ -112,8 +112,8 @@ def test_the_demonstration_finds_what_the_script_finds_with_the_same_seed(lab, t
     scripted = client.result(next(run for run in client.runs() if run.kind == "measure").id)
     shown = run(Request("aligned", "mirror_step_y", tmp_path, 11, 320), Console(quiet=True)).as_json()
     assert shown["seed"] == 11
-    # Equal but for the order in which threads add numbers up.
-    assert shown["measured_steps_mm"] == pytest.approx(scripted["measured_steps_mm"], abs=1e-8)
+    # Equal to a nanometre: threads add numbers up in any order, and what is iterated ends a little elsewhere.
+    assert shown["measured_steps_mm"] == pytest.approx(scripted["measured_steps_mm"], abs=1e-6)
 
 
 def reconstruct(folder, *arguments):
