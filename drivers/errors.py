@@ -1,7 +1,5 @@
 """The closed set of errors that a driver raises: which device, what happened, and what mends it."""
 
-# ruff: noqa: N818 - the names say what happened, as the rig's faults are called
-
 
 class InstrumentError(Exception):
     """Base of every error of an instrument; raise one of its subclasses.

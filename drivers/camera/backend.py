@@ -13,11 +13,11 @@ from drivers.values import Node
 NodeKind = Literal["integer", "float", "enumeration", "boolean", "string", "command", "other"]
 
 
-class NodeRefused(Exception):  # noqa: N818 - as the errors of drivers.errors are called
+class NodeRefused(Exception):
     """The node map refuses: out of range, not among the entries, not writable now."""
 
 
-class NodeFailed(Exception):  # noqa: N818 - as above
+class NodeFailed(Exception):
     """The camera did not do what a node asked of it, or did not answer."""
 
 

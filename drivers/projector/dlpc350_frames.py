@@ -16,7 +16,7 @@ READ, WRITE, REFUSAL = 0xC0, 0x40, 0x20
 _HEAD = struct.Struct("<BBH")
 
 
-class StaleReply(Exception):  # noqa: N818 - no error: the reply to an earlier message, to be thrown away
+class StaleReply(Exception):
     """The reply to another message than the last one."""
 
 

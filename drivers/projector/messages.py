@@ -17,7 +17,7 @@ _HEAD = struct.Struct("<IQ")
 GRACE_S = 1.0
 
 
-class Failure(Exception):  # noqa: N818 - it is an answer
+class Failure(Exception):
     """What went wrong in the process, as (name of the error, what, remedy)."""
 
     @property

@@ -13,7 +13,7 @@ _CODES = {"u8": "B", "u16": "H", "u32": "I", "f64": "d"}
 _SIZES = {"u8": 1, "u16": 2, "u32": 4, "f64": 8}
 
 
-class StaleReply(Exception):  # noqa: N818 - no error: the reply to an earlier request, to be thrown away
+class StaleReply(Exception):
     """The reply to another request than the last one."""
 
 

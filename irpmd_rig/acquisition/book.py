@@ -29,19 +29,19 @@ KEY_LIMIT = 200
 _log = logging.getLogger(__name__)
 
 
-class RecipeRefused(DocumentError):  # noqa: N818 - says what happened
+class RecipeRefused(DocumentError):
     """A recipe that can be read, but not run on this rig: see its problems."""
 
 
-class KeyReused(AcquisitionError):  # noqa: N818 - says what happened
+class KeyReused(AcquisitionError):
     """An idempotency key under which another recipe was submitted."""
 
 
-class BadKey(AcquisitionError):  # noqa: N818
+class BadKey(AcquisitionError):
     """An idempotency key that cannot be one."""
 
 
-class ActionRefused(AcquisitionError):  # noqa: N818
+class ActionRefused(AcquisitionError):
     """An action that a run cannot follow in its state."""
 
 

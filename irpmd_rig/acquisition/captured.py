@@ -19,7 +19,7 @@ BurstTrigger = Literal["hardware", "software"]
 Images = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-class Cancelled(AcquisitionError):  # noqa: N818 - says what happened
+class Cancelled(AcquisitionError):
     """Taking frames was cancelled."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Cancelled(AcquisitionError):  # noqa: N818 - says what happened
         return type(self), ()
 
 
-class FrameQuality(AcquisitionError):  # noqa: N818
+class FrameQuality(AcquisitionError):
     """Frames that came, but are not what they should be: stale, blended, swapped, saturated, too dim.
 
     Attributes

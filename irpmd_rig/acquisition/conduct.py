@@ -19,7 +19,7 @@ class Ending:
     detail: str
 
 
-class RunEnded(Exception):  # noqa: N818 - no error: somebody wanted it
+class RunEnded(Exception):
     """Raised inside a run that is to end."""
 
     def __init__(self, ending: Ending) -> None:

@@ -13,7 +13,7 @@ from irpmd_rig.acquisition.errors import AcquisitionError
 WAIT_S = 30.0
 
 
-class RigBusy(AcquisitionError):  # noqa: N818 - says what happened
+class RigBusy(AcquisitionError):
     """The instruments are in use.
 
     Attributes

@@ -29,7 +29,7 @@ INLINE = "recipe"
 _RESULT_BYTES = 64
 
 
-class NoSuchRecipe(AcquisitionError):  # noqa: N818 - says what happened
+class NoSuchRecipe(AcquisitionError):
     """A name that no shipped recipe has."""
 
 

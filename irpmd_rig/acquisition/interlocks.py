@@ -23,7 +23,7 @@ from irpmd_rig.store.record import Fringes, Kind, Optics, RunRecord
 from irpmd_rig.store.run_folder import RunFolder
 
 
-class NotReady(AcquisitionError):  # noqa: N818 - says what happened
+class NotReady(AcquisitionError):
     """The rig cannot begin a run now."""
 
 

@@ -52,7 +52,7 @@ class Holder:
     expires_s: float
 
 
-class LeaseHeld(AcquisitionError):  # noqa: N818 - says what happened, as all errors of the rig do
+class LeaseHeld(AcquisitionError):
     """The rig is controlled by somebody else.
 
     Parameters
@@ -70,14 +70,14 @@ class LeaseHeld(AcquisitionError):  # noqa: N818 - says what happened, as all er
         self.holder = holder
 
 
-class LeaseNeeded(AcquisitionError):  # noqa: N818
+class LeaseNeeded(AcquisitionError):
     """No lease was given, or it has expired or was released, and nobody holds one."""
 
     def __init__(self) -> None:
         super().__init__("this needs the lease, and there is none", "take the lease first")
 
 
-class BadLease(AcquisitionError):  # noqa: N818
+class BadLease(AcquisitionError):
     """An owner or a duration that no lease can have."""
 
 

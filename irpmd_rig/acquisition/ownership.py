@@ -12,7 +12,7 @@ from irpmd_rig.store.durable import typed_errors
 LOCK = ".daemon.lock"
 
 
-class AlreadyRunning(AcquisitionError):  # noqa: N818 - says what happened
+class AlreadyRunning(AcquisitionError):
     """Another daemon works on this store."""
 
 

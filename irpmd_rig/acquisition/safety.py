@@ -20,14 +20,14 @@ _log = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 
-class StopLatched(AcquisitionError):  # noqa: N818 - says what happened
+class StopLatched(AcquisitionError):
     """Everything was stopped, and nobody has cleared that yet."""
 
     def __init__(self) -> None:
         super().__init__("everything was stopped", "see that it is safe to go on, then clear the stop")
 
 
-class Overdue(Exception):  # noqa: N818
+class Overdue(Exception):
     """A call did not return within its bound; its thread is left to itself."""
 
 

@@ -17,7 +17,7 @@ _EXCESS = 2.0
 _DIGITISING_DN = 0.3  # of a difference of two frames whose noise is below one step
 
 
-class NotSettled(AcquisitionError):  # noqa: N818 - says what happened
+class NotSettled(AcquisitionError):
     """The picture did not come to rest."""
 
 

@@ -46,7 +46,7 @@ Put = Callable[[int, Frame], Frame]
 Result = TypeVar("Result")
 
 
-class _Missing(Exception):  # noqa: N818 - a signal within this module
+class _Missing(Exception):
     """A frame did not come as it should."""
 
     def __init__(self, kind: Literal["lost", "incomplete", "late"], error: InstrumentError) -> None:

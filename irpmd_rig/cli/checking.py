@@ -22,7 +22,7 @@ _OF_RIGS = ("camera", "projector", "stage1", "stage2", "storage", "service")
 WORLD_LIMIT_S = 120.0
 
 
-class _Wrong(Exception):  # noqa: N818 - says what happened
+class _Wrong(Exception):
     """A file that is wrong; a line for everything that is."""
 
     def __init__(self, lines: Iterable[str]) -> None:

@@ -12,7 +12,7 @@ class ClientError(Exception):
     """Base of the client's errors."""
 
 
-class ServiceUnreachable(ClientError):  # noqa: N818 - the names say what happened
+class ServiceUnreachable(ClientError):
     """The daemon does not answer at this address, or no longer.
 
     Parameters
@@ -30,7 +30,7 @@ class ServiceUnreachable(ClientError):  # noqa: N818 - the names say what happen
         self.url = url
 
 
-class TokenUnreadable(ClientError):  # noqa: N818
+class TokenUnreadable(ClientError):
     """The file with the daemon's token is not there or holds none."""
 
 
@@ -74,7 +74,7 @@ class ProblemError(ClientError):
         return f"{self.title}: {self.detail}" if self.detail else f"{self.title} (status {self.status})"
 
 
-class RunFailed(ClientError):  # noqa: N818
+class RunFailed(ClientError):
     """A run that was waited for ended, but did not succeed.
 
     Attributes
@@ -88,7 +88,7 @@ class RunFailed(ClientError):  # noqa: N818
         self.run = run
 
 
-class NotInTime(ClientError):  # noqa: N818
+class NotInTime(ClientError):
     """What was waited for did not happen within the given time."""
 
 

@@ -31,17 +31,17 @@ class ProcessingError(Exception):
         return f"{self.what}; {self.remedy}"
 
 
-class Refused(ProcessingError):  # noqa: N818 - the name says what happened
+class Refused(ProcessingError):
     """A calibration or reference that may not be used for this run."""
 
     reason = Reason.REFUSED
 
 
-class FramesUnusable(ProcessingError):  # noqa: N818
+class FramesUnusable(ProcessingError):
     """Frames that are missing, differ among themselves or fail their checks."""
 
     reason = Reason.FRAME_QUALITY
 
 
-class ComputingLost(ProcessingError):  # noqa: N818
+class ComputingLost(ProcessingError):
     """The computing process ended or hung and was replaced; the frames are untouched."""

@@ -11,11 +11,11 @@ class StoreError(Exception):
     """Base of every error of the store."""
 
 
-class RunNotFound(StoreError):  # noqa: N818 - the names say what happened
+class RunNotFound(StoreError):
     """There is no run of this id."""
 
 
-class FileNotInRun(StoreError):  # noqa: N818
+class FileNotInRun(StoreError):
     """A path that is not a file of this run: missing, outside its folder, or through a symbolic link."""
 
 
@@ -23,15 +23,15 @@ class RunFolderError(StoreError):
     """A run folder that cannot be read: `run.yaml`, `manifest.jsonl`, `state.jsonl` or a frame is wrong."""
 
 
-class TransitionRefused(StoreError):  # noqa: N818
+class TransitionRefused(StoreError):
     """A change of state that the transition table does not know."""
 
 
-class RunInUse(StoreError):  # noqa: N818
+class RunInUse(StoreError):
     """A run that cannot be deleted now: it has not ended, or a measurement may use it."""
 
 
-class NotUsable(StoreError):  # noqa: N818
+class NotUsable(StoreError):
     """A run that cannot serve as a calibration or reference."""
 
 
@@ -39,11 +39,11 @@ class ExportError(StoreError):
     """An export of something that the run does not hold."""
 
 
-class WriteFailed(StoreError):  # noqa: N818
+class WriteFailed(StoreError):
     """The disk refused to write for another reason than want of room."""
 
 
-class DiskFull(StoreError):  # noqa: N818
+class DiskFull(StoreError):
     """There is no room for what is to be written; what was written before is good.
 
     Parameters

@@ -24,7 +24,7 @@ class Status(IntEnum):
     INVALID_VALUE = -1019
 
 
-class Refusal(Exception):  # noqa: N818 - an answer to a client, not a failure of the camera
+class Refusal(Exception):
     """The camera refuses a request; the client gets `status`."""
 
     def __init__(self, status: Status, reason: str):

@@ -34,7 +34,7 @@ VIDEO, FLASH = 0, 3
 BY_SEQUENCER = 0x08
 
 
-class Refused(Exception):  # noqa: N818 -- an answer on the wire, not an error of the simulation
+class Refused(Exception):
     """The controller refuses a command."""
 
 

@@ -29,7 +29,7 @@ EMPTY_PLANE = bytes(PLANE_BYTES)
 VideoSource = Callable[[], Image | None]
 
 
-class Refusal(Exception):  # noqa: N818 -- an answer on the wire, not an error of the simulation
+class Refusal(Exception):
     """The box does not do what it was told."""
 
     def __init__(self, status: Status) -> None:

@@ -37,7 +37,7 @@ main()
 """
 
 
-class TooLate(AssertionError):  # noqa: N818 - says what happened
+class TooLate(AssertionError):
     """Something did not happen within its bound."""
 
 

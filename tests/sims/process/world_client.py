@@ -16,7 +16,7 @@ from drivers.registry import make
 WORLD = Path(__file__).parents[3] / "configs" / "worlds" / "aligned.yaml"
 
 
-class Refusal(Exception):  # noqa: N818
+class Refusal(Exception):
     """The world refused a call."""
 
 
