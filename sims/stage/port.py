@@ -121,6 +121,8 @@ class SerialPort:
         self._wrong_line = wrong_line
         self._descriptors: tuple[int, int] | None = None
         self._service: _Service | None = None
+        # A fault script and the end of the world may both tear the port out.
+        self._plugging = threading.Lock()
 
     @property
     def plugged(self) -> bool:
@@ -129,8 +131,11 @@ class SerialPort:
 
     def plug(self) -> None:
         """Make the port appear."""
-        if self._descriptors is not None:
-            return
+        with self._plugging:
+            if self._descriptors is None:
+                self._appear()
+
+    def _appear(self) -> None:
         master, slave = os.openpty()
         # Raw before anyone can write: a cooked line would echo replies back as commands. The slave stays open
         # here: without any slave open, the master reads errors instead of waiting.
@@ -147,13 +152,14 @@ class SerialPort:
 
     def unplug(self) -> None:
         """Tear the port out: its name is gone and whoever has it open gets errors."""
-        if self._descriptors is None or self._service is None:
-            return
-        self.link.unlink(missing_ok=True)
-        self._service.end()
-        for descriptor in self._descriptors:
-            os.close(descriptor)
-        self._descriptors = self._service = None
+        with self._plugging:
+            if self._descriptors is None or self._service is None:
+                return
+            self.link.unlink(missing_ok=True)
+            self._service.end()
+            for descriptor in self._descriptors:
+                os.close(descriptor)
+            self._descriptors = self._service = None
 
     close = unplug
 
@@ -193,6 +199,7 @@ class SocketPort:
         self._thread: threading.Thread | None = None
         self._client: tuple[socket.socket, _Service] | None = None
         self._lock = threading.Lock()
+        self._plugging = threading.Lock()
 
     @property
     def plugged(self) -> bool:
@@ -206,23 +213,25 @@ class SocketPort:
 
     def plug(self) -> None:
         """Listen."""
-        if self._listener is not None:
-            return
-        self._listener = socket.create_server(("127.0.0.1", self._port))
-        self._port = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._accept, args=(self._listener,), daemon=True)
-        self._thread.start()
+        with self._plugging:
+            if self._listener is not None:
+                return
+            self._listener = socket.create_server(("127.0.0.1", self._port))
+            self._port = self._listener.getsockname()[1]
+            self._thread = threading.Thread(target=self._accept, args=(self._listener,), daemon=True)
+            self._thread.start()
 
     def unplug(self) -> None:
         """Stop listening and drop the client."""
-        if self._listener is None or self._thread is None:
-            return
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._thread.join()
-        self._listener.close()
-        self._listener = self._thread = None
-        self._drop_client()
+        with self._plugging:
+            if self._listener is None or self._thread is None:
+                return
+            with contextlib.suppress(OSError):
+                self._listener.shutdown(socket.SHUT_RDWR)
+            self._thread.join()
+            self._listener.close()
+            self._listener = self._thread = None
+            self._drop_client()
 
     close = unplug
 
