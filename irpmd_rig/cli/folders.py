@@ -35,7 +35,8 @@ class Form(StrEnum):
 def reconstruct(
     folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Folders of runs, also hand-written.")],
     calibration: Annotated[
-        Path | None, typer.Option(help="Folder of the calibration to use, instead of what the run says.")
+        list[Path] | None,
+        typer.Option(help="Folder of a calibration to use, instead of what the run says; once for each kind."),
     ] = None,
     reference: Annotated[
         Path | None, typer.Option(help="Folder of the reference to use, instead of what the run says.")
@@ -54,7 +55,7 @@ def reconstruct(
     right = True
     for folder in folders:
         try:
-            done = _reconstructed(folder, calibration, reference, root)
+            done = _reconstructed(folder, calibration or [], reference, root)
         except (ProcessingError, StoreError) as error:
             right = False
             note(f"{folder}: {error}", style="red")
@@ -63,11 +64,11 @@ def reconstruct(
     raise typer.Exit(0 if right else 1)
 
 
-def _reconstructed(folder: Path, calibration: Path | None, reference: Path | None, root: Path | None) -> ProcessedRun:
+def _reconstructed(folder: Path, calibrations: list[Path], reference: Path | None, root: Path | None) -> ProcessedRun:
     from irpmd_rig.cli.given import given_runs, library_for
     from irpmd_rig.processing.process import reconstruct as compute
 
-    library = library_for(folder, given_runs(calibration, reference), root)
+    library = library_for(folder, given_runs(calibrations, reference), root)
     with notes.status(f"{folder}") as status:
         return compute(folder, library, lambda progress: status.update(f"{folder}: {progress.text}"), threads=THREADS)
 

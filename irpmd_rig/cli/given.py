@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from irpmd_rig.processing import Refused
@@ -48,8 +49,8 @@ class GivenRuns(Library):
         return super().resolve(kind, wanted)
 
 
-def given_runs(calibration: Path | None, reference: Path | None) -> dict[str, RunFolder]:
-    """Read which calibrations and which reference two folders stand for.
+def given_runs(calibrations: Sequence[Path], reference: Path | None) -> dict[str, RunFolder]:
+    """Read which calibrations and which reference some folders stand for, and what these were made with.
 
     Raises
     ------
@@ -57,11 +58,12 @@ def given_runs(calibration: Path | None, reference: Path | None) -> dict[str, Ru
         One of them is none, or has not been computed.
     """
     given: dict[str, RunFolder] = {}
-    if calibration is not None:
-        _add(given, calibration, CALIBRATIONS)
+    implied: dict[str, RunFolder] = {}
+    for calibration in calibrations:
+        _add(given, implied, calibration, CALIBRATIONS)
     if reference is not None:
-        _add(given, reference, (REFERENCE,))
-    return given
+        _add(given, implied, reference, (REFERENCE,))
+    return implied | given
 
 
 def library_for(folder: Path, given: dict[str, RunFolder], root: Path | None) -> Library:
@@ -91,7 +93,7 @@ def library_for(folder: Path, given: dict[str, RunFolder], root: Path | None) ->
     return GivenRuns(given, root or next((place for place in places if (place / "active.json").is_file()), None))
 
 
-def _add(given: dict[str, RunFolder], path: Path, kinds: tuple[str, ...]) -> None:
+def _add(given: dict[str, RunFolder], implied: dict[str, RunFolder], path: Path, kinds: tuple[str, ...]) -> None:
     folder = RunFolder(path.resolve())
     try:
         kind = folder.record().kind
@@ -104,4 +106,4 @@ def _add(given: dict[str, RunFolder], path: Path, kinds: tuple[str, ...]) -> Non
     for other, run_id in uses.items():
         beside = folder.path.parent / run_id
         if kind != REFERENCE and beside.is_dir():
-            given[other] = RunFolder(beside)
+            implied[other] = RunFolder(beside)
