@@ -28,7 +28,7 @@ def world(folder: Path, **options: Any) -> Iterator[WorldControl]:
         assert process.stdout.readline().startswith(b"ready")
         yield WorldControl(folder)
     finally:
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
 
 
 def rig_file(world_folder: Path, root: Path) -> RigFile:
@@ -37,7 +37,7 @@ def rig_file(world_folder: Path, root: Path) -> RigFile:
     return replace(file, storage=file.storage.model_copy(update={"root": root, "reserve_gb": 0.0}))
 
 
-def until(what: Callable[[], bool], limit_s: float = 20.0) -> None:
+def until(what: Callable[[], bool], limit_s: float = 60.0) -> None:
     """Wait for something that has to become true."""
     end_s = time.monotonic() + limit_s
     while not what():

@@ -16,7 +16,7 @@ def irpmd_rig(*arguments, folder):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=110,
+        timeout=380,
         check=False,
     )
 

@@ -40,7 +40,7 @@ ASKS = SHORT + "  - {do: prompt, text: Turn the sample round.}\n  - {do: capture
 LONG = SHORT + "  - {do: wait, time_s: 60}\n  - {do: capture, label: late}\n"
 
 
-def until(what: Callable[[], bool], limit_s: float = 40.0) -> None:
+def until(what: Callable[[], bool], limit_s: float = 80.0) -> None:
     end_s = time.monotonic() + limit_s
     while not what():
         assert time.monotonic() < end_s, "it did not happen in time"
@@ -79,7 +79,7 @@ class Lab:
         assert self.daemon is not None
         assert self.daemon.stdout is not None
         self.daemon.send_signal(number)
-        status = self.daemon.wait(40)
+        status = self.daemon.wait(80)
         self.daemon.stdout.close()
         return status
 
@@ -122,7 +122,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorldControl]:
         assert process.stdout.readline().startswith("ready")
         yield WorldControl(folder)
         process.send_signal(signal.SIGTERM)
-        process.wait(20)
+        process.wait(60)
 
 
 @pytest.fixture(scope="module")
@@ -166,15 +166,15 @@ def test_ctrl_c_asks_before_it_aborts(lab: Lab) -> None:
         until(lambda: lab.newest()[0] == "running")
         assert process.stdin is not None
         process.send_signal(signal.SIGINT)
-        time.sleep(0.5)
+        time.sleep(1.5)
         assert lab.newest()[0] == "running"
         process.stdin.write("\n")
         process.stdin.flush()
-        time.sleep(0.5)
+        time.sleep(1.5)
         assert process.poll() is None
         assert lab.newest()[0] == "running"
         process.send_signal(signal.SIGINT)
-        time.sleep(0.3)
+        time.sleep(1.5)
         _, noted = process.communicate("a\n", timeout=60)
         assert process.returncode == 1
         assert "Abort the run?" in noted
@@ -189,7 +189,7 @@ def test_the_operator_is_asked_in_the_terminal(lab: Lab) -> None:
         time.sleep(1.0)
         process.stdin.write("what?\n")
         process.stdin.flush()
-        time.sleep(0.5)
+        time.sleep(1.5)
         assert lab.newest()[0] == "waiting_for_operator"
         said, noted = process.communicate("\n", timeout=60)
         assert process.returncode == 0, noted

@@ -19,7 +19,7 @@ def typed(*arguments, folder, stdin="", **environment):
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=110,
+        timeout=380,
         check=False,
         env={**os.environ, **environment},
     )
@@ -36,7 +36,7 @@ def served(tmp_path_factory):
         assert process.stdout.readline().startswith(f"ready {runtime}/irpmd-rig/")
         yield str(runtime)
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
     assert not list((runtime / "irpmd-rig").rglob("*.sock"))
 
 

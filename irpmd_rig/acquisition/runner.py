@@ -11,20 +11,20 @@ from dataclasses import dataclass
 from drivers.protocols import DeviceFault, InstrumentError, Led, LimitReached, MotionFailed
 from irpmd_rig.acquisition.book import RunBook
 from irpmd_rig.acquisition.capture import CaptureSettings, Photographer
-from irpmd_rig.acquisition.conduct import Conduct, Ending
+from irpmd_rig.acquisition.conduct import Conduct, Ending, RunEnded
 from irpmd_rig.acquisition.endings import ending_of
 from irpmd_rig.acquisition.hands import Hands, Zeros
 from irpmd_rig.acquisition.interlocks import axes_of, check_start, has_zero, settle_uses
 from irpmd_rig.acquisition.queue import RunQueue
 from irpmd_rig.acquisition.rig import Rig
-from irpmd_rig.acquisition.rounds import asked_next
+from irpmd_rig.acquisition.rounds import aim_missed, asked_next
 from irpmd_rig.acquisition.runs import Run, entered_at, first_incomplete
 from irpmd_rig.acquisition.safety import Safety
 from irpmd_rig.acquisition.sequencer import PROMPT_LIMIT_S, Sequencer, Surroundings
 from irpmd_rig.processing import ProcessedRun, Progress, Worker
 from irpmd_rig.processing.compensation import levels_of
 from irpmd_rig.recipes.document import DocumentError
-from irpmd_rig.recipes.plan import Plan
+from irpmd_rig.recipes.plan import Plan, Prompt
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.library import Library
 from irpmd_rig.store.states import Reason, RunState
@@ -184,10 +184,12 @@ class Runner:
         try:
             run.conduct.check()
             run.become(RunState.PREPARING)
-            self._acquire(run)
+            computed = self._acquire(run)
             run.conduct.check()
             run.become(RunState.RECONSTRUCTING)
-            self._compute(run)
+            missed = aim_missed(computed or self._compute(run))
+            if missed is not None:
+                raise RunEnded(missed)
             run.become(RunState.SUCCEEDED)
             place.book.forget(run.id)
         # Whatever it was, the run has ended, and says why.
@@ -212,8 +214,11 @@ class Runner:
 
     # --- one run
 
-    def _acquire(self, run: Run) -> None:
-        """Take what is missing of the run's frames; the rig is safe afterwards."""
+    def _acquire(self, run: Run) -> ProcessedRun | None:
+        """Take what is missing of the run's frames; the rig is safe afterwards.
+
+        Returns what was computed of all of them, if that decided that there are no more.
+        """
         place = self._place
         place.safety.check()
         run.folder.results.clear()
@@ -236,18 +241,26 @@ class Runner:
         run.become(RunState.RUNNING)
         if first == stations:
             run.begin_at(first)
-            return
+            return None
+        computed: ProcessedRun | None = None
+
+        def decide() -> Prompt | None:
+            nonlocal computed
+            computed = self._compute(run)
+            return asked_next(computed)
+
         surroundings = Surroundings(
             photographer=lambda: self._photographer(run),
             at_ease=place.hands.at_ease,
             station_done=lambda station: place.worker.decode(run.folder.path, station),
-            decide=lambda: asked_next(self._compute(run)),
+            decide=decide,
             prompt_limit_s=place.prompt_limit_s,
         )
         Sequencer(place.rig, run, surroundings).execute(first)
         for name, report in place.safety.make_safe().items():
             if report.error is not None and name in place.safety.concerns:
                 raise DeviceFault(name, f"it could not be made safe: {report.error}", "look at it")
+        return computed
 
     def _ready_axes(self, run: Run) -> None:
         place = self._place

@@ -29,6 +29,7 @@ from irpmd_rig.store import Fringes, Library, ManifestEntry, Optics, RunFolder, 
 SERIAL = "simulated"
 _PROJECTOR_PX = (1024, 768)
 _WHITE = 0
+_LED = "infrared"  # of recipes that name no light
 _REQUEST, _PATTERNS, _FRAMES = "request.json", "patterns.npy", "frames"
 
 _log = logging.getLogger(__name__)
@@ -63,7 +64,7 @@ AnyOrder = TypeVar("AnyOrder", bound=Order)
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A run that was taken and computed; its frames are deleted.
+    """A run that was taken and computed.
 
     Attributes
     ----------
@@ -72,7 +73,7 @@ class Done:
     content
         Its `result.json` or `calibration.json`; empty for a measurement that could not be computed.
     folder
-        Its folder, with results.
+        Its folder, with results; its frames are deleted as soon as the next run is asked for.
     """
 
     recipe: Recipe
@@ -116,17 +117,24 @@ class Lab:
             for order in orders:
                 following = order, renderer.submit(self._render, order)
                 if ahead is not None:
-                    yield ahead[0], self._compute(ahead[0], ahead[1].result())
+                    yield from self._computed(*ahead)
                 ahead = following
             if ahead is not None:
-                yield ahead[0], self._compute(ahead[0], ahead[1].result())
+                yield from self._computed(*ahead)
+
+    def _computed(self, order: AnyOrder, rendered: Future[Path]) -> Iterator[tuple[AnyOrder, Done]]:
+        folder, recipe = self._taken(order, rendered.result())
+        try:
+            yield order, self._compute(folder, recipe)
+        finally:
+            shutil.rmtree(folder.path / "frames")
 
     def _render(self, order: Order) -> Path:
         """Frames of all stations of an order, in a folder."""
         recipe, _ = read_recipe(order.recipe)
         stations = plan(recipe).stations
         patterns = _Patterns()
-        request = {"patterns": _PATTERNS, "stations": [_asked(station, patterns) for station in stations]}
+        request = {"patterns": _PATTERNS, "stations": [_asked(station, patterns, _led(recipe)) for station in stations]}
         self._rendered += 1
         folder = self._folder / f"rendered-{self._rendered}"
         folder.mkdir()
@@ -137,7 +145,8 @@ class Lab:
         run_sims(command)
         return folder
 
-    def _compute(self, order: Order, rendered: Path) -> Done:
+    def _taken(self, order: Order, rendered: Path) -> tuple[RunFolder, Recipe]:
+        """Put rendered frames into the folder of a run."""
         recipe, _ = read_recipe(order.recipe)
         folder = self._store.create_run(self._record(recipe, order), Transition(RunState.QUEUED), order.recipe)
         for state in (RunState.PREPARING, RunState.RUNNING):
@@ -145,10 +154,13 @@ class Lab:
         taken = json.loads((rendered / _FRAMES / "frames.json").read_text())["stations"]
         for station, state in zip(plan(recipe).stations, taken, strict=True):
             frames = np.load(rendered / _FRAMES / state["file"], mmap_mode="r")
-            for frame, entry in zip(frames, _entries(station, state), strict=True):
+            for frame, entry in zip(frames, _entries(station, state, _led(recipe)), strict=True):
                 folder.write_frame(np.array(frame), entry)
             folder.flush()
         shutil.rmtree(rendered)
+        return folder, recipe
+
+    def _compute(self, folder: RunFolder, recipe: Recipe) -> Done:
         folder.append_state(Transition(RunState.RECONSTRUCTING))
         try:
             with folder:
@@ -158,8 +170,6 @@ class Lab:
                 raise
             _log.warning("%s could not be measured: %s", recipe.name, error)
             return Done(recipe, {}, folder)
-        finally:
-            shutil.rmtree(folder.path / "frames")
         folder.append_state(Transition(RunState.SUCCEEDED))
         if recipe.kind == "measure":
             return Done(recipe, folder.results.read_json("result.json"), folder)
@@ -174,6 +184,7 @@ class Lab:
             fringes=fringes and Fringes(counts=fringes.counts, steps=fringes.steps),
             positions_mm=getattr(recipe, "positions_mm", ()),
             optics=Optics(camera_serial=SERIAL, size_px=(self._size_px, self._size_px)),
+            nominal_steps_mm=recipe.nominal_steps_mm,
             recipe=recipe.model_dump(mode="json"),
             rig=dict(order.rig),
         )
@@ -217,19 +228,24 @@ class _Patterns:
         return list(range(first, first + shot.frames))
 
 
-def _asked(station: Station, patterns: _Patterns) -> dict[str, Any]:
+def _led(recipe: Recipe) -> str:
+    return _LED if recipe.light is None else recipe.light.led
+
+
+def _asked(station: Station, patterns: _Patterns, led: str) -> dict[str, Any]:
     scene = station.prompt.scene if station.prompt is not None else None
     return {
         "scene": scene and {"subject": scene.subject, "pose": scene.pose, "glass": scene.glass, "lamp": scene.lamp},
         "stage1_mm": station.stage1_mm,
         "stage2_mm": station.stage2_mm,
+        "light": "infrared" if led == "infrared" else "visible",
         "exposure_us": None if station.exposure_us == "auto" else station.exposure_us,
         "metered_on": _WHITE if station.lit else None,
         "pictures": [picture for shot in station.shots for picture in patterns.of(shot)],
     }
 
 
-def _entries(station: Station, state: Content) -> Iterator[ManifestEntry]:
+def _entries(station: Station, state: Content, led: str) -> Iterator[ManifestEntry]:
     """Manifest lines of a station's frames, in the order in which they were asked for."""
     for shot in station.shots:
         entry = ManifestEntry(
@@ -244,7 +260,7 @@ def _entries(station: Station, state: Content) -> Iterator[ManifestEntry]:
             stage1_measured=True,
             stage2_mm=state["stage2_mm"],
             exposure_us=state["exposure_us"],
-            led="infrared",
+            led=led,
             bits=state["bits"],
             checks={"ok": True},
         )

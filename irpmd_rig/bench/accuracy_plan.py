@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from irpmd_rig.bench.accuracy_lab import Order
-from irpmd_rig.bench.accuracy_worlds import Change, rig_facts, write_world
+from irpmd_rig.bench.accuracy_worlds import NOISE, Change, rig_facts, write_world
 
 TREADS = {"y": ("mirror_step_y", "fan_y"), "x": ("mirror_step_x", "fan_x")}
 """The paper's Tables 2 and 3, their heights changing along either axis."""
@@ -119,7 +119,7 @@ class Plan:
             if "freeform" in cases:
                 yield self._task(recipe.measure(FREEFORM), f"freeform, {case}", FREEFORM)
         if "noise" in cases:
-            yield from self._elsewhere("noise", Change(noisy=True), PAPER)
+            yield from self._elsewhere("noise", Change(read_noise=NOISE), PAPER)
         if "bow" in cases:
             yield from self._elsewhere("bow", Change(bow_um=20.0), PRECISE)
         if "warp" in cases:

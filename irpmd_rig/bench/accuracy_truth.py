@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,7 +140,9 @@ def _steps(content: Content, truth: Truth) -> tuple[tuple[float, ...], tuple[flo
     covariance = content.get("step_covariance_um2")
     chi2 = np.nan
     if covariance is not None:
-        chi2 = float(errors @ np.linalg.solve(np.array(covariance, dtype=float), errors) / errors.size)
+        # One that has no inverse says nothing of how far errors may go.
+        with suppress(np.linalg.LinAlgError):
+            chi2 = float(errors @ np.linalg.solve(np.array(covariance, dtype=float), errors) / errors.size)
     return tuple(errors.tolist()), tuple(sigmas.tolist()), chi2
 
 

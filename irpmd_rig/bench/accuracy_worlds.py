@@ -34,15 +34,15 @@ class Change:
         Of the glass.
     warped
         Whether the projector distorts by 0.05 % of half its width as no lens model describes.
-    noisy
-        Whether the camera's read noise is `NOISE` times as large.
+    read_noise
+        How many times the camera's read noise is as large.
     stage_about_y_deg
         Tilt of stage1's axis about y, in place of the drawn one; None: as drawn.
     """
 
     bow_um: float = 0.0
     warped: bool = False
-    noisy: bool = False
+    read_noise: float = 1.0
     stage_about_y_deg: float | None = None
 
 
@@ -72,8 +72,7 @@ def write_world(path: Path, seed: int, change: Change) -> Content:
     glass["bow_um"] = change.bow_um
     if change.warped:
         projector["warp_amplitude_px"] = _WARP * projector["size_px"][0] / 2
-    if change.noisy:
-        world["camera"]["read_noise_e"] *= NOISE
+    world["camera"]["read_noise_e"] *= change.read_noise
     world["seed"] = seed
     with path.open("w") as file:
         yaml.dump(world, file)

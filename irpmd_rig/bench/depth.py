@@ -37,8 +37,8 @@ def run(size_px: int = 2048, repeats: int = 9) -> list[Row]:
     -------
     list of Row
         Depth and sigma of every pixel, and of the quarter of the picture's width and height that an object
-        fills; calibration loaded, no facets fitted, the surface taken to be level across (first depth). And the latter
-        with the slope across found.
+        fills; calibration loaded, no facets fitted, the surface taken to be level across. And the latter with the slope
+        across found, as a measurement does it.
     """
     tables = rig_tables(paper_rig(size_px))
     frames = [mirror_frames(tables, position_mm) for position_mm in POSITIONS_MM]
@@ -55,7 +55,7 @@ def run(size_px: int = 2048, repeats: int = 9) -> list[Row]:
     return [
         slower(names[0], medians, DECODE, 2.5, 1.5),
         slower(names[1], medians, DECODE, 2.5, 1.5),
-        slower(names[2], medians, DECODE, None, None),
+        slower(names[2], medians, DECODE, 2.5, 1.5),
     ]
 
 

@@ -11,7 +11,7 @@ from rich.logging import RichHandler
 from irpmd_rig.cli.application import app, note, notes
 
 # Each enters its commands in the application, in the order in which the help shows them.
-GROUPS = ("daemon", "run", "runs", "rig", "checking", "folders", "report", "demo", "world", "bench")
+GROUPS = ("daemon", "run", "runs", "rig", "checking", "folders", "report", "demo", "reproduce", "world", "bench")
 for group in GROUPS:
     import_module(f"irpmd_rig.cli.{group}")
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from irpmd_rig.processing import Refused
-from irpmd_rig.processing.archive import CALIBRATION
 from irpmd_rig.store import (
     ACTIVE,
     CALIBRATIONS,
@@ -18,6 +17,7 @@ from irpmd_rig.store import (
     RunFolderError,
     Store,
 )
+from irpmd_rig.store.results import CALIBRATION
 
 _COMPUTE = "reconstruct it first, or give another folder"
 

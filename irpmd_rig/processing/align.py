@@ -19,7 +19,13 @@ from irpmd_rig.processing.wishes import align_wishes
 
 ASK = "ask"
 """Key of a summary: what the operator is asked before the run goes on; not there if it need not."""
+LEFT = "left"
+"""Key of a summary: what is still out of tolerance after the last round, and what to do; not there if nothing is."""
 
+_UNSURE = (
+    " That is less certain than the tolerance asks for: it hangs on the board that lay on the white plate when the "
+    "camera was calibrated; calibrate the camera again with that board turned by some 20 deg in its plane."
+)
 # Nobody turns a screw more finely, and the text that he reads says no more.
 _DIGITS = 3
 
@@ -27,7 +33,8 @@ _DIGITS = 3
 def align_run(job: Job) -> ProcessedRun:
     """Tilt of the glass in every round so far: white and black frames ``sprayed`` and ``glass``, fringes ``mirror``.
 
-    The summary holds `ASK` and the turns that it asks for while the glass is out of tolerance and rounds are left.
+    While the glass is out of tolerance the summary holds `ASK` and the turns that it asks for if rounds are left, and
+    `LEFT` if none are.
 
     Raises
     ------
@@ -53,18 +60,25 @@ def align_run(job: Job) -> ProcessedRun:
     tolerance_rad = float(np.deg2rad(asked_for.tolerance_deg))
     aligned = tilts[-1].within(tolerance_rad)
     turns = _turns_deg(tilts[-1], tolerance_rad)
-    words = _words(tilts[-1], aligned)
+    over = aligned or len(tilts) >= asked_for.rounds
+    words = f"Round {len(tilts)} of at most {asked_for.rounds}. {_words(tilts[-1], tolerance_rad)}"
     content: Content = {
         "is": "tilt of the ground glass against the mirror: turns about x and y of frame M, right-handed",
         "tolerance_deg": asked_for.tolerance_deg,
+        "of_round": len(tilts),
+        "rounds_at_most": asked_for.rounds,
+        "over": over,
+        "over_is": "whether this was the last round: otherwise the glass may have been turned since, and not measured",
         "rounds": [_round(tilt) for tilt in tilts],
         "aligned": aligned,
         "next": None if aligned else instruction(turns),
     }
     write_findings(job, size_of(regions[0].shape), words, content)
     asked: dict[str, Summary] = {}
-    if not aligned and len(tilts) < asked_for.rounds:
+    if not over:
         asked = {ASK: instruction(turns), "turn_about_x_deg": turns[0], "turn_about_y_deg": turns[1]}
+    elif not aligned:
+        asked = {LEFT: f"{words} {instruction(turns)} Then run it again, or with a larger tolerance."}
     return job.finished(
         words=words,
         aligned=int(aligned),
@@ -101,14 +115,15 @@ def _turns_deg(tilt: GlassTilt, tolerance_rad: float) -> tuple[float, float]:
     return about_x, about_y
 
 
-def _words(tilt: GlassTilt, aligned: bool) -> str:
+def _words(tilt: GlassTilt, tolerance_rad: float) -> str:
     about_x, about_y, sigma_x, sigma_y = np.rad2deg(
         [tilt.about_x_rad, tilt.about_y_rad, tilt.sigma_about_x_rad, tilt.sigma_about_y_rad]
     )
-    state = "parallel within the tolerance" if aligned else "not parallel within the tolerance"
+    state = "parallel within the tolerance" if tilt.within(tolerance_rad) else "not parallel within the tolerance"
+    unsure = max(tilt.sigma_about_x_rad, tilt.sigma_about_y_rad) > tolerance_rad
     return (
         f"The glass is {state}: it leans by {about_x:+.4f} deg about x (sigma {sigma_x:.4f}) and {about_y:+.4f} deg "
-        f"about y (sigma {sigma_y:.4f})."
+        f"about y (sigma {sigma_y:.4f})." + (_UNSURE if unsure else "")
     )
 
 

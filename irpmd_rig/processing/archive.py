@@ -23,7 +23,6 @@ from irpmd_rig.core import (
 )
 from irpmd_rig.core.calibration.plate_order import OrderResidual
 
-CALIBRATION = "calibration.json"
 ARRAYS = "arrays.npz"
 UNITS = "mm, rad, px and their products, unless a name ends in its own unit"
 

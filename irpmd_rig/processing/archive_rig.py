@@ -42,6 +42,8 @@ def rig_content(calibration: RigCalibration, positions_mm: Sequence[float]) -> C
         "stage_offsets_mm": list(calibration.stage_offsets_mm),
         "flexible": calibration.flexible,
         "flexible_is": "whether the glass's bow and a correction of the phase over it were needed and used",
+        "along_y": calibration.along_y,
+        "along_y_is": "whether the model holds for fringes along y: without, they are not used",
         "undetermined": list(calibration.undetermined),
         "variations": f"{VARIATIONS}: models displaced by one sigma along independent directions",
     }

@@ -12,7 +12,6 @@ from irpmd_rig.core import (
 )
 from irpmd_rig.processing.archive import (
     ARRAYS,
-    CALIBRATION,
     CameraResult,
     relation_arrays,
     relation_content,
@@ -26,6 +25,7 @@ from irpmd_rig.processing.regions import Mask, grow
 from irpmd_rig.processing.stage_position import stage_position
 from irpmd_rig.processing.values import ProcessedRun
 from irpmd_rig.store.record import Kind
+from irpmd_rig.store.results import CALIBRATION
 
 
 def calibrate_camera_run(job: Job) -> ProcessedRun:

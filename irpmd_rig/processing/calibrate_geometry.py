@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,7 +14,6 @@ from irpmd_rig.core.calibration.rig_calibrate import calibrate_rig
 from irpmd_rig.core.calibration.rig_calibration import NominalProjector, RigCalibration, RigView
 from irpmd_rig.processing.archive import (
     ARRAYS,
-    CALIBRATION,
     CameraResult,
     Content,
     geometry_content,
@@ -28,8 +28,7 @@ from irpmd_rig.processing.job import Job
 from irpmd_rig.processing.phases import StationPhase
 from irpmd_rig.processing.regions import Mask, grow, shrink, solid
 from irpmd_rig.processing.values import ProcessedRun
-
-RESIDUALS = "rig_residuals.png"
+from irpmd_rig.store.results import CALIBRATION
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,13 +102,27 @@ def _seen(job: Job, stations: tuple[FringeStation, ...]) -> _Seen:
         quality.append(station_quality(job, station, phase))
     across = None
     if job.has("mirror", "y"):
-        along_y = job.stations("mirror", "y")
-        if len(along_y) != len(stations):
-            raise FramesUnusable("fringes along y are not there at every position of those along x", "measure again")
+        along_y = at_same_positions(stations, job.stations("mirror", "y"), job.facts.stage1.in_position_mm)
         check_along_y(stations, along_y)
         across = tuple(job.phase(station, take=True) for station in along_y)
     job.release()
     return _Seen(stations, tuple(phases), across, sprayed, tuple(glass), tuple(quality))
+
+
+def at_same_positions(
+    stations: Sequence[FringeStation], others: Sequence[FringeStation], window_mm: float
+) -> tuple[FringeStation, ...]:
+    """Of other stations, the one that is nearest to each; raises FramesUnusable if it is beside its position."""
+    nearest = []
+    for station in stations:
+        found = min(others, key=lambda other: abs(other.stage1_mm - station.stage1_mm))
+        if abs(found.stage1_mm - station.stage1_mm) > window_mm + 1e-9:
+            raise FramesUnusable(
+                f"there are no fringes along y at {station.stage1_mm:g} mm: the nearest are at {found.stage1_mm:g} mm",
+                "measure again, or complete the folder",
+            )
+        nearest.append(found)
+    return tuple(nearest)
 
 
 def _geometry(job: Job, camera: CameraResult, relation: PlateRelation, seen: _Seen) -> RigGeometry:
@@ -128,8 +141,7 @@ def _geometry(job: Job, camera: CameraResult, relation: PlateRelation, seen: _Se
 
 
 def _rig(job: Job, camera: CameraResult, geometry: RigGeometry, seen: _Seen) -> RigCalibration:
-    projector = job.facts.projector
-    nominal = NominalProjector(projector.size_px, max(seen.stations[0].counts), projector.focal_px)
+    nominal = NominalProjector(job.facts.projector.size_px, max(seen.stations[0].counts))
     views = [_view(seen, place) for place in range(len(seen.stations))]
     return calibrate_rig(views, camera.camera, geometry, nominal, board=job.facts.known_checkerboard())
 
@@ -173,12 +185,8 @@ def _write(job: Job, content: Content, seen: _Seen, rig: RigCalibration | None) 
     results.write_arrays(ARRAYS, {"sprayed": seen.sprayed, "glass": seen.glass[0], **residuals})
     job.wrote(ARRAYS)
     if rig is not None:
-        from irpmd_rig.processing.pictures import write_residuals
-
         results.write_json(VARIATIONS, variations_content(rig))
         job.wrote(VARIATIONS)
-        write_residuals(results, RESIDUALS, rig.residuals)
-        job.wrote(RESIDUALS)
     results.write_json(CALIBRATION, content)
     job.wrote(CALIBRATION)
 

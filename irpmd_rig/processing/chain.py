@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.processing.archive import ARRAYS, CALIBRATION, Content
+from irpmd_rig.processing.archive import ARRAYS, Content
 from irpmd_rig.processing.errors import Refused
 from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
 from irpmd_rig.processing.wishes import NEED_A_REFERENCE, Wishes, wishes
@@ -18,6 +18,7 @@ from irpmd_rig.recipes.models import Method
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.library import ACTIVE, Library
 from irpmd_rig.store.record import Kind, RunRecord
+from irpmd_rig.store.results import CALIBRATION
 from irpmd_rig.store.run_folder import RunFolder
 
 # What each kind of run needs beside its frames: first what its recipe calls its calibration, then the rest.

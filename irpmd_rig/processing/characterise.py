@@ -137,12 +137,15 @@ def _exposure_words(recommended_us: float, nonlinearity: float, noise_floor_dn: 
     if np.isfinite(recommended_us):
         parts.append(f"At {recommended_us:.0f} us the brightest parts reach 85 % of full scale.")
     else:
-        parts.append("Every exposure saturates: give shorter ones, or dim the light.")
+        parts.append(
+            "No exposure can be recommended: all are too bright, or the light does not grow with them. Give shorter "
+            "ones, dim the light, and see that it does not flash."
+        )
     if np.isfinite(nonlinearity):
         state = "linear" if nonlinearity <= _LINEAR_SHARE else "not linear"
         parts.append(f"The camera is {state}: {100 * nonlinearity:.2f} % off a straight line at most.")
     else:
-        parts.append("Whether the camera is linear cannot be told: three exposures that do not saturate are needed.")
+        parts.append("Whether the camera is linear cannot be told: three exposures that are not too bright are needed.")
     if np.isfinite(noise_floor_dn):
         parts.append(f"Noise without light: {noise_floor_dn:.2f} DN.")
     return " ".join(parts)

@@ -121,23 +121,24 @@ def stage_axis_run(job: Job) -> ProcessedRun:
     stations = job.stations("mirror")
     job.chain.check_fringes(stations[0].counts)
     job.plan(len(stations) + 2)
-    intrinsics, geometry, plate_sigma_rad = _optics(job)
+    intrinsics, geometry, glass_at_mm, plate_sigma_rad = _optics(job)
     directions = geometry.frame.directions(rays(intrinsics)).reshape(-1, 3)
     along_y = job.stations("mirror", "y") if job.has("mirror", "y") else ()
     by_number = {station.number: station for station in along_y}
+    # Phases along y tell where all stations have them.
+    with_y = all(station.number in by_number for station in stations)
     views = []
     for station in stations:
         job.step(f"phase at {station.stage1_mm:g} mm")
         views.append(_view(job, station, by_number.get(station.number), directions))
     job.step("direction of the stage")
     normal, offset = geometry.frame.plane(geometry.glass)
-    normal = normal / normal[2]
-    plane = float(-normal[0]), float(-normal[1]), float(offset / geometry.frame.plane(geometry.glass)[0][2])
-    found = fit_stage_axis(views, geometry.frame.camera_mm, plane)
+    plane = float(-normal[0] / normal[2]), float(-normal[1] / normal[2]), float(offset / normal[2])
+    found = fit_stage_axis(views, geometry.frame.camera_mm, plane, glass_at_mm)
     drift = found.axis[:2] / -found.axis[2]
     # The mirror's normal is no better known than the tilt of the plate by which it was measured.
     sigma = np.sqrt(np.square(found.sigma_rad) + _frame_sigma(geometry) ** 2 + plate_sigma_rad**2)
-    words = _axis_words(drift, sigma, found, with_y=bool(along_y))
+    words = _axis_words(drift, sigma, found, with_y=with_y)
     write_findings(job, intrinsics.size_px, words, _axis_content(found, drift, sigma))
     return job.finished(
         words=words,
@@ -175,13 +176,13 @@ def _spread(mask: Mask) -> NDArray[np.intp]:
     return np.random.default_rng(0).permutation(places)[:_SAMPLED_PX]
 
 
-def _optics(job: Job) -> tuple[Intrinsics, RigGeometry, float]:
-    """Camera, geometry, and one sigma of the plate's tilt."""
+def _optics(job: Job) -> tuple[Intrinsics, RigGeometry, float, float]:
+    """Camera, geometry with the position of stage1 at which it was taken, and one sigma of the plate's tilt."""
     try:
         camera = CameraResult.read(job.chain.content("calibrate-camera"))
         board = next(board for board in camera.camera.boards if board.view == camera.plate_view)
-        geometry = read_geometry(job.chain.content("calibrate-geometry"))
-        return camera.camera.intrinsics, geometry, board.sigma_tilt_rad
+        content = job.chain.content("calibrate-geometry")
+        return camera.camera.intrinsics, read_geometry(content), float(content["stage1_mm"]), board.sigma_tilt_rad
     except (KeyError, TypeError, ValueError) as error:
         raise Refused(f"the calibration of camera or geometry is damaged: {error!r}", "make it again") from None
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from irpmd_rig.processing.errors import Refused
-from irpmd_rig.processing.whole import RESULT
 from irpmd_rig.store.errors import StoreError
 from irpmd_rig.store.library import Library
+from irpmd_rig.store.results import RESULT
 
 _ANOTHER = "name a run of kind characterise, what: gamma, that has succeeded"
 

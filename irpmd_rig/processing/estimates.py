@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core import FacetPlane, find_facets
+from irpmd_rig.core import FacetPlane, Step, find_facets
 from irpmd_rig.core.errors import EvaluationError
 from irpmd_rig.core.evaluation.step_report import SURFACE_STEP, StepReport, steps_of
 from irpmd_rig.core.reconstruction.facet_estimate import Doubts, FacetEstimate, estimate_surfaces
@@ -22,38 +22,6 @@ from irpmd_rig.processing.regions import Window
 from irpmd_rig.recipes.models import Method
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class StepFigures:
-    """A step between two neighbouring facets.
-
-    Attributes
-    ----------
-    name
-        Labels of the facets, "1-2".
-    height_mm
-        The step, by the method's definition.
-    at_mm
-        x, y of frame M where the surfaces are compared.
-    mean_height_difference_mm
-        Difference of the facets' mean heights.
-    random_um, calibration_um, alignment_um
-        One sigma each: noise; the calibrated quantities; what the method takes for granted, within its tolerance.
-    """
-
-    name: str
-    height_mm: float
-    at_mm: tuple[float, float]
-    mean_height_difference_mm: float
-    random_um: float
-    calibration_um: float
-    alignment_um: float
-
-    @property
-    def combined_um(self) -> float:
-        """One sigma, all parts together."""
-        return float(np.sqrt(self.random_um**2 + self.calibration_um**2 + self.alignment_um**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +86,7 @@ class MethodResult:
     window: Window
     labels: NDArray[np.int32]
     facets: tuple[Content, ...]
-    steps: tuple[StepFigures, ...]
+    steps: tuple[Step, ...]
     covariance_um2: Array
     definition: str
     without_steps: str
@@ -131,25 +99,13 @@ def by_pixels(method: Method, depth: PixelDepth) -> MethodResult:
     """Facets as planes through a depth map, and the steps between them if they are flat."""
     found = evaluate(depth.maps.depth_mm, depth.frame, depth.rays(), depth.changes)
     labels = np.zeros(depth.maps.depth_mm.shape, np.int32) if found.facets is None else found.facets.labels
-    steps = tuple(
-        StepFigures(
-            step.name,
-            step.height_mm,
-            step.at_mm,
-            step.mean_height_difference_mm,
-            step.random_um,
-            step.calibration_um,
-            step.alignment_um,
-        )
-        for step in found.steps
-    )
     return MethodResult(
         method=method,
         maps=depth.maps,
         window=depth.window,
         labels=labels,
         facets=tuple(_plane_content(plane) for plane in found.planes),
-        steps=steps,
+        steps=found.steps,
         covariance_um2=found.covariance_um2,
         definition=found.definition,
         without_steps=found.without_steps,
@@ -182,6 +138,7 @@ def by_facets(depth: PixelDepth, seen: ObjectViews, rig: KnownRig, *, psf_px: fl
         facets = find_facets(depth.maps.depth_mm.astype(np.float64))
         doubts = Doubts(
             variations=rig.variations,
+            shifts_mm=seen.shifts_mm(rig.variations),
             sigma_position_mm=max(position.sigma_mm for position in seen.positions),
             psf_px=psf_px,
             chi2_limit=max_chi2,
@@ -225,16 +182,15 @@ def by_facets(depth: PixelDepth, seen: ObjectViews, rig: KnownRig, *, psf_px: fl
     )
 
 
-def _step_figures(report: StepReport) -> tuple[StepFigures, ...]:
+def _step_figures(report: StepReport) -> tuple[Step, ...]:
     return tuple(
-        StepFigures(
+        Step(
             name=name,
             height_mm=float(report.values_mm[k]),
             at_mm=(float(report.at_mm[k, 0]), float(report.at_mm[k, 1])),
             mean_height_difference_mm=float(report.means_mm[k]),
             random_um=1e3 * float(report.random_mm[k]),
             calibration_um=1e3 * float(report.calibration_mm[k]),
-            alignment_um=0.0,
         )
         for k, name in enumerate(report.names)
     )

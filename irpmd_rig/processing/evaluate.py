@@ -111,7 +111,7 @@ def evaluate(
             else "one facet was found, a step needs two"
         )
         return Evaluation(facets, planes, facets.noise_mm, (), np.empty((0, 0)), DEFINITION, without)
-    steps = step_heights(planes, facets)
+    steps = step_heights(planes)
     parts = step_covariances_um2(planes, changes(facets))
     steps = tuple(
         replace(

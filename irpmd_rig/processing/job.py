@@ -7,8 +7,10 @@ from contextlib import suppress
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
 from irpmd_rig.core import Drawing
+from irpmd_rig.core.rig_model import RigModel
 from irpmd_rig.processing.archive import UNITS, Content
 from irpmd_rig.processing.chain import Chain
 from irpmd_rig.processing.errors import FramesUnusable
@@ -16,6 +18,7 @@ from irpmd_rig.processing.frames import FringeStation, fringe_stations, picture
 from irpmd_rig.processing.phases import Phases, StationPhase
 from irpmd_rig.processing.regions import Mask, lit
 from irpmd_rig.processing.rig_facts import RigFacts, rig_facts
+from irpmd_rig.processing.stage_position import GlassSeen
 from irpmd_rig.processing.values import Announce, ProcessedRun, Progress, Summary
 from irpmd_rig.processing.whole import withdraw
 from irpmd_rig.store.entries import ManifestEntry, Orientation
@@ -106,6 +109,12 @@ class Job:
         known = self._phases.at(self.folder, station, take=take)
         self.chain.check_size(known.size_px)
         return known
+
+    def glass(
+        self, station: FringeStation, phase: StationPhase, model: RigModel, outline_mm: NDArray[np.float64]
+    ) -> GlassSeen:
+        """What the glass tells in a station's frames (`Phases.glass`)."""
+        return self._phases.glass(station, phase, model, outline_mm)
 
     def release(self) -> None:
         """Let go of what decoding another station would use again."""

@@ -17,12 +17,12 @@ from irpmd_rig.processing.methods import PixelDepth, depth_equation, generalised
 from irpmd_rig.processing.object_views import ObjectViews, nothing_seen, object_views
 from irpmd_rig.processing.optics import Optics
 from irpmd_rig.processing.phases import check_station
-from irpmd_rig.processing.pictures import write_pictures
 from irpmd_rig.processing.regions import Window, bounding_box
 from irpmd_rig.processing.report import Measured, MethodFiles, result_content, steps_table
+from irpmd_rig.processing.seen_once import seen_once
 from irpmd_rig.processing.values import ProcessedRun
-from irpmd_rig.processing.whole import RESULT
 from irpmd_rig.recipes.models import Method
+from irpmd_rig.store.results import RESULT
 
 # Of the chosen method, or of the one that it begins with.
 _FIRST = MethodFiles("depth_mm.npy", "sigma_mm.npy")
@@ -100,7 +100,8 @@ def measure_run(job: Job, optics: Optics) -> ProcessedRun:
         if name != first:
             _write_maps(run, result.maps, result.window, files[name])
     _write_rest(run, depth, chosen)
-    facts = Measured(run.seen, depth, _FIRST, results, files, not_computed, tuple(checked))
+    once = seen_once(run.seen, optics)
+    facts = Measured(run.seen, once, depth, _FIRST, results, files, not_computed, tuple(checked))
     job.folder.results.write_json(RESULT, result_content(job, optics, facts))
     job.wrote(RESULT)
     return job.finished(
@@ -169,7 +170,7 @@ def _write_maps(run: _Run, maps: DepthMap, window: Window, files: MethodFiles) -
 
 
 def _write_rest(run: _Run, depth: PixelDepth, chosen: MethodResult) -> None:
-    """Write points, the step table and pictures of the chosen method."""
+    """Write points, a map for other programs and the step table of the chosen method."""
     job, results = run.job, run.job.folder.results
     job.step("points and maps")
     points = depth.frame.points_mm(depth.maps.depth_mm.astype(np.float64), depth.rays())
@@ -182,8 +183,3 @@ def _write_rest(run: _Run, depth: PixelDepth, chosen: MethodResult) -> None:
     job.wrote("points.ply")
     results.write_table("steps.csv", steps_table(chosen, job.record.nominal_steps_mm))
     job.wrote("steps.csv")
-    job.step("pictures")
-    for name in write_pictures(
-        job.folder, run.seen.stations, run.seen.phases, depth.window, depth.maps.depth_mm, points, chosen.labels
-    ):
-        job.wrote(name)

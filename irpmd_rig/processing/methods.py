@@ -26,8 +26,10 @@ from irpmd_rig.processing.stage_position import SIGMA_POSITION_MM
 
 Array = NDArray[np.float64]
 
-# Every so many pixels along rows and columns tell what another calibration would change: smooth changes.
+# Every so many pixels along rows and columns tell what another calibration would change, for it changes smoothly; less
+# where that leaves a small facet too few.
 _THIN_PX = 8
+_FEWEST_PIXELS = 20
 SIGMA_TRAVEL_MM = float(np.sqrt(2) * SIGMA_POSITION_MM)
 
 
@@ -131,8 +133,8 @@ def triangulated(optics: Optics, seen: ObjectViews) -> PixelDepth:
     views = seen.views()
     maps = triangulate(views, rig.model, tables=rig.tables)
 
-    def thin(tables: RigTables, positions_mm: tuple[float, ...]) -> NDArray[np.float32]:
-        few = replace(_thinned(views), positions_mm=positions_mm)
+    def thin(tables: RigTables, positions_mm: tuple[float, ...], every: int) -> NDArray[np.float32]:
+        few = replace(_thinned(views, every), positions_mm=positions_mm)
         # Level across: of surfaces that are not, it is wrong before and after by the same.
         return triangulate(few, tables.model, tables=tables, slope_rounds=0).depth_mm
 
@@ -158,11 +160,14 @@ def generalised(optics: Optics, seen: ObjectViews, places: Sequence[int]) -> Pix
     seen = seen.cut(window)
     views = seen.views()
     maps = generalised_depth(views, references, rig.model, tables=rig.tables)
-    thin_references = _thinned(references)
 
-    def thin(tables: RigTables, positions_mm: tuple[float, ...]) -> NDArray[np.float32]:
-        few = replace(_thinned(views), positions_mm=positions_mm)
-        return generalised_depth(few, thin_references, tables.model, tables=tables).depth_mm
+    def thin(tables: RigTables, positions_mm: tuple[float, ...], every: int) -> NDArray[np.float32]:
+        few, there = replace(_thinned(views, every), positions_mm=positions_mm), _thinned(references, every)
+        if tables.model is not rig.model:
+            # Another rig finds the reference's positions, too, from the glass: elsewhere by as much as the object's.
+            moved = zip(there.positions_mm, positions_mm, views.positions_mm, strict=True)
+            there = replace(there, positions_mm=tuple(at + other - own for at, other, own in moved))
+        return generalised_depth(few, there, tables.model, tables=tables).depth_mm
 
     return _by_the_model(rig, seen, maps, thin)
 
@@ -178,21 +183,25 @@ def _by_the_model(
     rig: KnownRig,
     seen: ObjectViews,
     maps: DepthMap,
-    thin: Callable[[RigTables, tuple[float, ...]], NDArray[np.float32]],
+    thin: Callable[[RigTables, tuple[float, ...], int], NDArray[np.float32]],
 ) -> PixelDepth:
-    positions = tuple(position.used_mm for position in seen.positions)
+    positions = seen.true_mm
 
     def changes(facets: Facets) -> list[Change]:
-        labels = facets.labels[::_THIN_PX, ::_THIN_PX]
-        own = _thin_tables(rig.model, (rig.tables.along_x, rig.tables.along_y), seen.window)
-        here = thin(own, positions).astype(np.float64)
+        every = _thinning(facets)
+        labels = facets.labels[::every, ::every]
+        own = _thin_tables(rig.model, (rig.tables.along_x, rig.tables.along_y), seen.window, every)
+        here = thin(own, positions, every).astype(np.float64)
 
         def change(tables: RigTables, moved: tuple[float, ...]) -> Array:
-            return facet_means(thin(tables, moved) - here, labels, facets.count)
+            return facet_means(thin(tables, moved, every) - here, labels, facets.count)
 
         varied = zip(rig.variations, rig.varied_maps(), strict=True)
-        tables = (_thin_tables(model, maps, seen.window) for model, maps in varied)
-        found = [Change("calibration", change(other, positions)) for other in tables]
+        tables = (_thin_tables(model, maps, seen.window, every) for model, maps in varied)
+        found = [
+            Change("calibration", change(other, tuple(np.add(positions, shifts).tolist())))
+            for other, shifts in zip(tables, seen.shifts_mm(rig.variations), strict=True)
+        ]
         for k, position in enumerate(seen.positions):
             moved = (*positions[:k], position.used_mm + position.sigma_mm, *positions[k + 1 :])
             found.append(Change("random", change(own, moved)))
@@ -201,8 +210,19 @@ def _by_the_model(
     return PixelDepth(maps, seen.window, rig.model.intrinsics, rig.model.frame, changes)
 
 
-def _thinned(views: Views) -> Views:
-    few = np.s_[::_THIN_PX, ::_THIN_PX]
+def _thinning(facets: Facets) -> int:
+    """How many pixels may stand for one such that every facet keeps enough of them."""
+    every = _THIN_PX
+    while every > 1:
+        left = np.bincount(facets.labels[::every, ::every].ravel(), minlength=facets.count + 1)[1:]
+        if left.min() >= _FEWEST_PIXELS:
+            break
+        every //= 2
+    return every
+
+
+def _thinned(views: Views, every: int) -> Views:
+    few = np.s_[::every, ::every]
     phases = tuple(np.ascontiguousarray(phase[few]) for phase in views.phases_rad)
     height, width = phases[0].shape
     return Views(
@@ -216,9 +236,9 @@ def _thinned(views: Views) -> Views:
     )
 
 
-def _thin_tables(model: RigModel, maps: tuple[GlassMap, GlassMap], window: Window) -> RigTables:
+def _thin_tables(model: RigModel, maps: tuple[GlassMap, GlassMap], window: Window, every: int) -> RigTables:
     """Tables of a rig for the pixels that `_thinned` leaves of a window."""
-    rows, columns = (np.arange(side.start, side.stop, _THIN_PX, dtype=np.float64) for side in window)
+    rows, columns = (np.arange(side.start, side.stop, every, dtype=np.float64) for side in window)
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
     directions = model.frame.directions(rays_at(model.intrinsics, pixels))
     slopes = (directions[..., :2] / directions[..., 2:]).astype(np.float32)

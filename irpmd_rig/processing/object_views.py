@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core.reconstruction.views import Views
+from irpmd_rig.core.rig_model import RigModel
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
 from irpmd_rig.processing.frames import FringeStation, check_along_y
 from irpmd_rig.processing.glass import glass_mask
@@ -29,11 +30,11 @@ class ObjectViews:
     stations
         One a stage position.
     phases, phases_y
-        Of the whole picture; None where there are no fringes along y.
+        Of the whole picture; None where there are no fringes along y, or the calibration does not know them.
     positions
         Refined where the rig is calibrated.
     window
-        Rows and columns that hold every pixel whose phase is known at all positions.
+        Rows and columns that hold every pixel whose phase is known at two positions or more.
     hidden
         Pixels of the window that show the glass itself, or the spray of the reference mirror; None: not known.
     """
@@ -49,6 +50,15 @@ class ObjectViews:
     def read_mm(self) -> tuple[float, ...]:
         """Stage positions as the stage told them."""
         return tuple(position.read_mm for position in self.positions)
+
+    @property
+    def true_mm(self) -> tuple[float, ...]:
+        """Stage positions as the glass tells them, or as read where it does not."""
+        return tuple(position.used_mm for position in self.positions)
+
+    def shifts_mm(self, variations: Sequence[RigModel]) -> NDArray[np.float64]:
+        """By how much other rigs would move each of `true_mm`, (variations, positions)."""
+        return np.stack([position.shifts_mm(variations) for position in self.positions], axis=1)
 
     def cut(self, window: Window) -> ObjectViews:
         """Give a smaller window, of the picture's rows and columns, inside this one."""
@@ -66,7 +76,7 @@ class ObjectViews:
             return maps
 
         return Views(
-            positions_mm=tuple(position.used_mm for position in self.positions),
+            positions_mm=self.true_mm,
             phases_rad=cut(self.phases),
             sigmas_rad=tuple(phase.sigma_in(self.window) for phase in self.phases),
             window=self.window,
@@ -82,18 +92,16 @@ def object_views(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) 
     FramesUnusable
         If frames are missing or cannot be decoded.
     ProcessingError
-        If no pixel is seen at all positions.
+        If no pixel is seen at two positions.
     """
     phases = []
     for number, station in enumerate(stations, 1):
         job.step(f"phase at position {number}, {station.stage1_mm:g} mm")
         phases.append(job.phase(station, take=True))
-    across = _along_y(job, stations)
+    across = _along_y(job, optics, stations)
     job.release()
-    known = None if optics.rig is None else (optics.rig.model, optics.rig.outline_mm)
-    positions = tuple(stage_position(station, phase, known) for station, phase in zip(stations, phases, strict=True))
-    seen = np.logical_and.reduce([np.isfinite(phase.phase_rad) for phase in phases])
-    hidden = None if optics.rig is None else hidden_mask(optics.rig, [station.stage1_mm for station in stations])
+    positions, hidden = _glass(job, optics, stations, phases)
+    seen = np.add.reduce([np.isfinite(phase.phase_rad) for phase in phases], dtype=np.uint8) > 1
     if hidden is not None:
         seen &= ~hidden
     elif optics.references is not None:
@@ -111,7 +119,7 @@ def object_views(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) 
 def nothing_seen() -> ProcessingError:
     """No pixel has a depth."""
     return ProcessingError(
-        "no pixel has a depth", "check that the object reflects the glass into the camera at all positions"
+        "no pixel has a depth", "check that the object reflects the glass into the camera at two positions or more"
     )
 
 
@@ -121,8 +129,22 @@ def hidden_mask(rig: KnownRig, positions_mm: Sequence[float]) -> Mask:
     return grow(np.logical_or.reduce([rig.sprayed, *glass]))
 
 
-def _along_y(job: Job, stations: tuple[FringeStation, ...]) -> tuple[StationPhase, ...] | None:
-    if not job.has("object", "y"):
+def _glass(
+    job: Job, optics: Optics, stations: Sequence[FringeStation], phases: Sequence[StationPhase]
+) -> tuple[tuple[StagePosition, ...], Mask | None]:
+    """Stage positions, and the pixels that show the glass at any of them or the spray of the reference mirror."""
+    if optics.rig is None:
+        unseen = zip(stations, phases, strict=True)
+        return tuple(stage_position(station, phase, None) for station, phase in unseen), None
+    model, outline_mm = optics.rig.model, optics.rig.outline_mm
+    found = [job.glass(*seen, model, outline_mm) for seen in zip(stations, phases, strict=True)]
+    hidden = np.logical_or.reduce([grow(optics.rig.sprayed), *(glass.hidden for glass in found)])
+    return tuple(glass.position for glass in found), hidden
+
+
+def _along_y(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) -> tuple[StationPhase, ...] | None:
+    # A calibration from fringes along x does not know which row of the projector lights a point.
+    if not job.has("object", "y") or (optics.rig is not None and not optics.rig.along_y):
         return None
     across = job.stations("object", "y")
     if [station.number for station in across] != [station.number for station in stations]:

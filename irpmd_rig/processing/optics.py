@@ -34,6 +34,8 @@ class KnownRig:
         Models displaced by one sigma.
     outline_mm
         Of the glass, as `irpmd_rig.processing.glass.glass_outline` found it.
+    along_y
+        Whether the model holds for fringes along y, too.
     sprayed
         Where the sprayed part of the reference mirror was, (H, W).
     chi2_per_dof
@@ -45,6 +47,7 @@ class KnownRig:
     model: RigModel
     variations: tuple[RigModel, ...]
     outline_mm: NDArray[np.float64]
+    along_y: bool
     sprayed: Mask
     chi2_per_dof: float
     tables: RigTables
@@ -148,6 +151,7 @@ def _rig(chain: Chain, content: Content) -> KnownRig:
         model=model,
         variations=read_variations(chain.document("calibrate-geometry", VARIATIONS)),
         outline_mm=np.array(content["glass_outline_mm"], np.float64).reshape(-1, 2),
+        along_y=bool(content["along_y"]),
         sprayed=np.asarray(chain.array("calibrate-geometry", "sprayed"), np.bool_),
         chi2_per_dof=float(content["chi2_per_dof"]),
         tables=rig_tables(model, np.float32),

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from irpmd_rig.core import AbsolutePhase, check_frames, decode
 from irpmd_rig.core.errors import MeasurementError
+from irpmd_rig.core.phase.counts import usual_unwrapping
 from irpmd_rig.core.phase.pattern_error import PatternError, pattern_error
-from irpmd_rig.core.phase.results import NoiseModel
+from irpmd_rig.core.phase.results import phase_sigma
+from irpmd_rig.core.rig_model import RigModel
 from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
 from irpmd_rig.processing.frames import Frame, FringeStation, read_fringes
 from irpmd_rig.processing.regions import Window
 from irpmd_rig.processing.rig_facts import rig_facts
+from irpmd_rig.processing.stage_position import GlassSeen, glass_seen
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Reason
 
@@ -36,10 +39,8 @@ class StationPhase:
         float32 (H, W), NaN where not valid; the pattern's own error is removed.
     modulation_map_dn
         float32 (H, W); None where it is not kept: of the white plate.
-    noise
-        Of one pixel value.
-    sigma_scale
-        One sigma of the phase, of modulation over noise.
+    noise_dn
+        float32 (h, w): one sigma of the phase times the modulation, at few pixels (`AbsolutePhase.noise_dn`).
     valid_fraction
         Share of the picture's pixels that are valid.
     modulation_dn, sigma_rad
@@ -48,8 +49,7 @@ class StationPhase:
 
     phase_rad: NDArray[np.float32]
     modulation_map_dn: NDArray[np.float32] | None
-    noise: NoiseModel
-    sigma_scale: float
+    noise_dn: NDArray[np.float32]
     valid_fraction: float
     modulation_dn: float
     sigma_rad: float
@@ -63,10 +63,7 @@ class StationPhase:
     def sigma_in(self, window: Window) -> NDArray[np.float32]:
         """One sigma of the phase by the frames' own noise, in a window; rad, without meaning where not valid."""
         assert self.modulation_map_dn is not None  # nobody asks it of the white plate
-        modulation = self.modulation_map_dn[window]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sigma = np.sqrt(self.noise.variance_dn2(modulation)) / modulation
-        return np.asarray(np.float32(self.sigma_scale) * sigma)
+        return phase_sigma(self.noise_dn, self.modulation_map_dn, window)
 
     def quality(self) -> dict[str, float | None]:
         """What the phase is worth, for people; None where it cannot be known."""
@@ -89,6 +86,7 @@ class Phases:
         self._known: dict[tuple[Any, ...], StationPhase] = {}
         self._frames: Frame | None = None
         self._maps: AbsolutePhase | None = None
+        self._glass: dict[tuple[Any, ...], tuple[RigModel, GlassSeen]] = {}
         self._errors: dict[tuple[tuple[float, ...], int, int], PatternError] = {}
 
     def at(self, folder: RunFolder, station: FringeStation, *, take: bool = False) -> StationPhase:
@@ -114,10 +112,20 @@ class Phases:
             self._known[station.key] = known
         return known
 
+    def glass(
+        self, station: FringeStation, phase: StationPhase, model: RigModel, outline_mm: NDArray[np.float64]
+    ) -> GlassSeen:
+        """What the glass tells (`glass_seen`) in the frames of a station whose phase was asked for; found once."""
+        known = self._glass.get(station.key)
+        if known is None or known[0] is not model:
+            known = self._glass[station.key] = model, glass_seen(station, phase, model, outline_mm)
+        return known[1]
+
     def forget(self) -> None:
         """Let go of all phases and buffers."""
         self._folder = None
         self._known.clear()
+        self._glass.clear()
         self.release()
 
     def release(self) -> None:
@@ -137,7 +145,7 @@ class Phases:
             self._maps = result = decode(
                 frames,
                 station.counts,
-                unwrapping=unwrapping(station.counts),
+                unwrapping=usual_unwrapping(station.counts),
                 threads=self.threads,
                 saturation_dn=station.full_scale_dn,
                 out=maps,
@@ -158,13 +166,8 @@ class Phases:
         size_px = rig_facts(folder.record()).projector.size_px
         key = station.counts, station.steps, size_px[0 if station.orientation == "x" else 1]
         if key not in self._errors:
-            self._errors[key] = pattern_error(*key, unwrapping=unwrapping(station.counts))
+            self._errors[key] = pattern_error(*key, unwrapping=usual_unwrapping(station.counts))
         return self._errors[key]
-
-
-def unwrapping(counts: tuple[float, ...]) -> Literal["optimum", "hierarchical"]:
-    """How fringe counts are meant: from coarse to fine where one set has no more than a period, else by beats."""
-    return "hierarchical" if min(counts) <= 1 else "optimum"
 
 
 def check_station(folder: RunFolder, station: FringeStation, announce: Callable[[str], None]) -> dict[str, Any]:
@@ -205,15 +208,12 @@ def _summarised(result: AbsolutePhase) -> StationPhase:
     thin = np.s_[::_SAMPLE, ::_SAMPLE]
     valid = result.valid[thin]
     modulation = np.median(result.modulation_dn[thin][valid]) if valid.any() else np.nan
-    weight = sum((c / max(result.counts)) ** 2 for c in result.counts) if result.unwrapping == "optimum" else 1.0
-    scale = float(np.sqrt(2 / result.steps / weight))
-    variance = result.noise.variance_dn2(np.asarray(modulation, np.float32))
+    sigma = np.median(result.sigma_in(thin)[valid]) if valid.any() else np.nan
     return StationPhase(
         phase_rad=result.phase_rad,
         modulation_map_dn=result.modulation_dn,
-        noise=result.noise,
-        sigma_scale=scale,
+        noise_dn=result.noise_dn,
         valid_fraction=float(np.count_nonzero(result.valid) / result.valid.size),
         modulation_dn=float(modulation),
-        sigma_rad=float(scale * np.sqrt(variance) / modulation),
+        sigma_rad=float(sigma),
     )

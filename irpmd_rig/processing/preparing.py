@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from irpmd_rig.processing.archive import Content
 from irpmd_rig.processing.job import Job
-from irpmd_rig.processing.whole import RESULT
+from irpmd_rig.store.results import RESULT
 
 
 def write_findings(job: Job, size_px: tuple[int, int], words: str, content: Content) -> None:

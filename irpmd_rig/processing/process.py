@@ -65,10 +65,12 @@ class Processor:
             record = folder.record()
             if record.kind == "sequence":
                 return
-            for ready in _complete(folder, station):
-                self._phases.at(folder, ready)
+            decoded = [(ready, self._phases.at(folder, ready)) for ready in _complete(folder, station)]
             if record.kind == "measure":
-                self._load(self._chained(folder, record, library))
+                rig = self._load(self._chained(folder, record, library)).rig
+                for ready, phase in decoded:
+                    if rig is not None and ready.orientation == "x":
+                        self._phases.glass(ready, phase, rig.model, rig.outline_mm)
 
     def process(self, folder: RunFolder, library: Library, announce: Announce) -> ProcessedRun:
         """Compute a run's results and write them.

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from irpmd_rig.core import Step
 from irpmd_rig.processing.archive import Content
 from irpmd_rig.processing.chain import age_days
-from irpmd_rig.processing.estimates import Check, MethodResult, StepFigures
+from irpmd_rig.processing.estimates import Check, MethodResult
 from irpmd_rig.processing.job import Job, known_number
 from irpmd_rig.processing.methods import SIGMA_TRAVEL_MM, PixelDepth
 from irpmd_rig.processing.object_views import ObjectViews
 from irpmd_rig.processing.optics import Optics
+from irpmd_rig.processing.seen_once import SeenOnce, check_seen
 from irpmd_rig.recipes.models import Method
 
 _COLUMNS = (
@@ -39,6 +41,8 @@ class Measured:
     ----------
     seen
         Phases and stage positions.
+    once
+        Parts of the object that are seen at one position only.
     depth, depth_files
         The depth map of the chosen method, pixel by pixel, or of the one that it begins with.
     results, files
@@ -50,6 +54,7 @@ class Measured:
     """
 
     seen: ObjectViews
+    once: Sequence[SeenOnce]
     depth: PixelDepth
     depth_files: MethodFiles
     results: Mapping[Method, MethodResult]
@@ -80,6 +85,7 @@ def result_content(job: Job, optics: Optics, measured: Measured) -> Content:
         "calibration": _calibration(job, optics),
         **_distances(optics, seen),
         "depth": _depth_content(measured, chosen),
+        "seen_at_one_position": [patch.content() for patch in measured.once],
         "facets": list(chosen.facets),
         "step_definition": chosen.definition,
         "steps": steps_content(chosen.steps, record.nominal_steps_mm),
@@ -91,7 +97,7 @@ def result_content(job: Job, optics: Optics, measured: Measured) -> Content:
             for name, result in measured.results.items()
         },
         "not_computed": dict(measured.not_computed),
-        "checks": [check.content() for check in (*_checks(job, optics, seen), *chosen.checks)],
+        "checks": [check.content() for check in (*_checks(job, optics, measured), *chosen.checks)],
     }
 
 
@@ -185,14 +191,18 @@ def _median(values: NDArray[np.float32]) -> float:
     return float(np.median(known)) if known.size else float("nan")
 
 
-def _checks(job: Job, optics: Optics, seen: ObjectViews) -> list[Check]:
+def _checks(job: Job, optics: Optics, measured: Measured) -> list[Check]:
     """Checks of the whole measurement; those of its frames are in its positions."""
-    off = job.chain.off
+    off, seen = job.chain.off, measured.seen
     found = [Check("calibration", not off, "; ".join(off) or _fitness(job))]
+    found.append(check_seen(measured.once, len(seen.stations)))
     if optics.rig is not None:
         limit, chi2 = job.chain.wishes.max_chi2, optics.rig.chi2_per_dof
         says = f"chi2 of the rig model {chi2:.2f} a degree of freedom"
         found.append(Check("rig model", chi2 <= limit, says, chi2, limit))
+        if job.has("object", "y") and not optics.rig.along_y:
+            says = "not used: the rig model does not hold for them; calibrate the geometry with orientations: [x, y]"
+            found.append(Check("fringes along y", passed=False, says=says))
         offsets = [1e3 * (p.used_mm - p.read_mm) for p in seen.positions if p.measured]
         if offsets:
             worst, window_um = max(offsets, key=abs), 1e3 * job.facts.stage1.in_position_mm
@@ -209,7 +219,7 @@ def _fitness(job: Job) -> str:
     return f"{'of this camera' if camera else 'camera not known'}, {'not too old' if age else 'age not known'}"
 
 
-def steps_content(steps: Sequence[StepFigures], nominal_mm: Sequence[float]) -> list[Content]:
+def steps_content(steps: Sequence[Step], nominal_mm: Sequence[float]) -> list[Content]:
     """Steps with the parts of their uncertainty, one sigma each; what should be beside it where it was said."""
     return [
         {
@@ -234,7 +244,7 @@ def steps_table(chosen: MethodResult, nominal_mm: Sequence[float]) -> list[dict[
     return [_row(step, should) for step, should in pairs] or [dict.fromkeys(_COLUMNS)]
 
 
-def _row(step: StepFigures, nominal_mm: float | None) -> dict[str, object]:
+def _row(step: Step, nominal_mm: float | None) -> dict[str, object]:
     values = (
         step.name, step.height_mm, step.combined_um, step.random_um, step.calibration_um, step.alignment_um,
         step.mean_height_difference_mm, *step.at_mm, nominal_mm,
@@ -243,6 +253,6 @@ def _row(step: StepFigures, nominal_mm: float | None) -> dict[str, object]:
     return dict(zip(_COLUMNS, values, strict=True))
 
 
-def _nominal(steps: Sequence[StepFigures], nominal_mm: Sequence[float]) -> list[float | None]:
+def _nominal(steps: Sequence[Step], nominal_mm: Sequence[float]) -> list[float | None]:
     """Nominal steps beside the measured ones; None for all unless there are as many."""
     return list(nominal_mm) if len(nominal_mm) == len(steps) else [None] * len(steps)

@@ -42,13 +42,9 @@ class StageFacts(_Part):
 
 
 class ProjectorFacts(_Part):
-    """The projector by its data sheet: size of its pictures, focal length over pixel pitch (20 % off is near enough).
-
-    The paper's LightCommander where nothing is said: 1024 x 768 mirrors of 10.8 um, a lens of 50 mm.
-    """
+    """The size of the projector's pictures: the paper's LightCommander's where nothing is said."""
 
     size_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (1024, 768)
-    focal_px: Positive = 4630.0
 
 
 class CalibrationFacts(_Part):

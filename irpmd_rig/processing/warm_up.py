@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from irpmd_rig.core import Intrinsics, ReferenceFrame
@@ -23,6 +25,8 @@ def warm_up_methods() -> None:
     for phase in views.phases_rad:
         pattern_error(_COUNTS, _STEPS, model.projector.size_px[0]).remove(phase)
     triangulate(views, model)
+    # The kernel of more than two views, or of fringes along y.
+    triangulate(replace(views, phases_y_rad=views.phases_rad), model)
     equation_depth(views, views, d_mm=180.0)
 
 

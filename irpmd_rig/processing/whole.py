@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from irpmd_rig.store.results import Results
+from irpmd_rig.store.results import CALIBRATION, RESULT, Results
 
-RESULT = "result.json"
-CALIBRATION = "calibration.json"
 _LAST = (RESULT, CALIBRATION)
 
 

@@ -114,9 +114,7 @@ def _alive(limit_s: float = HANG_S) -> None:
 
 
 def warm_up(threads: int) -> None:
-    """Load the compiled kernels and what draws: the first measurement is as fast as any other."""
-    import irpmd_rig.processing.pictures  # noqa: F401
-
+    """Load the compiled kernels: the first measurement is as fast as any other."""
     for kind, top in ((np.uint8, 200), (np.uint16, 800)):
         columns = np.arange(64) / 64
         phase = 2 * np.pi * (np.array([64, 63, 56])[:, None, None, None] * columns + np.arange(4)[:, None, None] / 4)

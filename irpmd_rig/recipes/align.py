@@ -24,7 +24,8 @@ class Align(RecipeBase):
     tolerance_deg : float
         Largest tilt of the glass about x and about y, in degrees, that is left alone; 0.001 to 5.
     rounds : int
-        Measurements at most, 1 to 20: after the last nothing more is turned.
+        Measurements at most, 1 to 20: after the last nothing more is turned, and a run whose glass is then still out
+        of tolerance has failed.
     """
 
     kind: Literal["align"]

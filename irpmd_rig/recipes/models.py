@@ -142,8 +142,9 @@ class Measure(RecipeBase):
         Largest chi2 per degree of freedom of the rig model with which it may be used, and up to which normals are
         trusted in the facets; 1 is a model that explains the data, above 1 to 1000.
     if_calibration_is_off : str
-        A calibration too old for the rig file, of another camera, or above ``max_chi2``: ``refuse`` the run, or
-        ``mark`` the result.
+        A calibration or reference that is too old for the rig file or does not say when it was taken, or is of
+        another camera; a rig model above ``max_chi2``; a reference that is older than the calibration of the geometry
+        and goes with another one, where a method uses it: ``refuse`` the run, or ``mark`` the result.
     """
 
     kind: Literal["measure"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from irpmd_rig.report.drawing import COLOURS, styled
@@ -135,6 +136,9 @@ def curves(
         axes.axhline(limit[0], color="#444444", linewidth=1, linestyle="--", label=limit[1])
     if log_y:
         axes.set_yscale("log")
+    if np.all(at == np.round(at)):
+        # Counts have no halves.
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel=x_label, ylabel=y_label)
     axes.grid()
     _legend(axes, len(series) + (limit is not None))

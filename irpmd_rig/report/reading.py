@@ -9,16 +9,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from irpmd_rig.core.phase.counts import usual_unwrapping
 from irpmd_rig.store.entries import ManifestEntry
 from irpmd_rig.store.errors import FileNotInRun, StoreError
 from irpmd_rig.store.library import Library
 from irpmd_rig.store.record import RunRecord
+from irpmd_rig.store.results import CALIBRATION, RESULT
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import Transition
 
 Content = dict[str, Any]
 
-RESULT, CALIBRATION = "result.json", "calibration.json"
 _SHOWN_PX = 420  # of a frame's longer side
 
 
@@ -93,7 +94,7 @@ class FringeSets:
     @property
     def unwrapping(self) -> Literal["optimum", "hierarchical"]:
         """How the counts are meant: from coarse to fine where one set has no more than a period, else by beats."""
-        return "hierarchical" if min(self.counts) <= 1 else "optimum"
+        return usual_unwrapping(self.counts)
 
 
 def fringe_sets(entries: Sequence[ManifestEntry], label: str, orientation: str = "x") -> tuple[FringeSets, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from irpmd_rig.report import calibrations
+from irpmd_rig.report import calibrations, preparation
 from irpmd_rig.report.checks import ended_badly
 from irpmd_rig.report.content import Page, Section, Verdict
 from irpmd_rig.report.html import drawings, render
@@ -24,6 +24,8 @@ _KINDS: Mapping[str, Callable[[Run], tuple[Verdict, tuple[Section, ...]]]] = {
     "calibrate-plate": calibrations.plate,
     "calibrate-geometry": calibrations.geometry,
     "reference": calibrations.reference,
+    "align": preparation.align,
+    "characterise": preparation.characterise,
 }
 
 

@@ -8,14 +8,13 @@ from datetime import UTC, datetime
 
 from irpmd_rig.store.errors import NotUsable, RunFolderError, RunNotFound
 from irpmd_rig.store.record import CALIBRATIONS, Kind, Optics
+from irpmd_rig.store.results import CALIBRATION
 from irpmd_rig.store.run_folder import RunFolder
 from irpmd_rig.store.states import RunState
 from irpmd_rig.store.store import Store
 
 ACTIVE = "active"
 REFERENCE = "reference"
-CALIBRATION = "calibration.json"
-"""What a calibration or reference found, among its results."""
 
 
 @dataclass(frozen=True, slots=True)

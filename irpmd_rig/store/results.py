@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 from irpmd_rig.store.durable import sync_folder, typed_errors, write_file
 from irpmd_rig.store.errors import RunFolderError
-from irpmd_rig.store.formats import encode_png, write_point_cloud
+from irpmd_rig.store.formats import write_point_cloud
 from irpmd_rig.store.paths import file_within
+
+RESULT, CALIBRATION = "result.json", "calibration.json"
+"""What a run found: a calibration or reference the second, any other the first. It is written last."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -76,11 +79,6 @@ class Results:
     def write_map(self, name: str, values: NDArray[np.generic], unit: str) -> Path:
         """Write a map (H, W) as TIFF, with its unit in the description."""
         return self.write(name, lambda stream: tifffile.imwrite(stream, values, metadata={"unit": unit}))
-
-    def write_picture(self, name: str, picture: NDArray[np.uint8]) -> Path:
-        """Write a picture, (H, W) grey or (H, W, 3) in red, green, blue, as PNG."""
-        content = encode_png(picture)
-        return self.write(name, lambda stream: stream.write(content))
 
     def write_points(
         self, name: str, points_mm: NDArray[np.floating], properties: Mapping[str, NDArray[np.generic]] | None = None

@@ -21,6 +21,8 @@ from sims.stage.motion import AxisSettings
 WIDTH, HEIGHT = 256, 192
 SPEED = 10.0
 EXPOSURES_US = (2500.0, 5000.0, 12000.0, 20000.0)
+# A frame takes milliseconds: only one that was lost is waited for that long, however busy the machine.
+FRAME_TIMEOUT_S = 2.0
 
 
 class Pair:
@@ -82,7 +84,7 @@ class Pair:
         return self.instruments.camera, self.instruments.projector, *self.instruments.stages.values()
 
     def photographer(self, trigger="hardware", cancelled=None, **settings: object) -> Photographer:
-        given = CaptureSettings(**{"frame_timeout_s": 0.5, **settings})
+        given = CaptureSettings(**{"frame_timeout_s": FRAME_TIMEOUT_S, **settings})
         return Photographer(self.instruments, trigger, given, cancelled or threading.Event())
 
     def _note(self, start_s: float, exposure_us: float, bits: int):

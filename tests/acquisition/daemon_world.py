@@ -29,7 +29,7 @@ def stations(*positions_mm: float, pattern: str = "white", retries: int = 1, mor
     return RecipeText(text + "".join(STATION.format(position_mm=place) for place in positions_mm) + more)
 
 
-def ended(daemon: RigDaemon, run_id: str, limit_s: float = 30.0) -> RunStatus:
+def ended(daemon: RigDaemon, run_id: str, limit_s: float = 80.0) -> RunStatus:
     """Wait for the end of a run."""
     until(lambda: (state := daemon.run(run_id).state) is not None and state.final, limit_s)
     return daemon.run(run_id)

@@ -58,7 +58,7 @@ def test_every_wait_ends_when_the_run_is_to_end(wait: Callable[[Conduct], None])
     began_s = time.monotonic()
     with pytest.raises(RunEnded):
         wait(conduct)
-    assert time.monotonic() - began_s < 5
+    assert time.monotonic() - began_s < 20
 
 
 def test_an_answer_reaches_only_the_prompt_that_waits() -> None:

@@ -182,7 +182,8 @@ def test_abort_ends_the_run_at_once_and_retry_goes_on(daemon: RigDaemon, world: 
     lease = daemon.take_lease(OWNER, 60).id
     began_s = time.monotonic()
     status = daemon.act(run_id, "abort", lease)
-    assert time.monotonic() - began_s < 5.0
+    # Long before what it waits for.
+    assert time.monotonic() - began_s < 30.0
     assert (status.state, status.reason) == (RunState.ABORTED, Reason.ABORTED_BY_USER)
     assert OWNER in status.detail
     at_rest(world)
@@ -228,7 +229,7 @@ def test_a_run_that_waits_is_aborted_without_the_rig(daemon: RigDaemon, lease: s
 
 
 def test_a_lease_makes_queued_runs_wait_and_its_end_lets_them_start(daemon: RigDaemon) -> None:
-    daemon.take_lease(OWNER, 0.8)
+    daemon.take_lease(OWNER, 4.0)
     status, _ = daemon.submit(stations(0))
     daemon.queue_action("resume")
     assert any(f"controlled by hand by {OWNER}" in reason for reason in daemon.rig_status().reasons)
@@ -316,7 +317,7 @@ def test_stop_is_latched_and_fails_the_run(daemon: RigDaemon, world: WorldContro
     until(lambda: (daemon.run(run_id).frames or 0) >= 1)
     began_s = time.monotonic()
     reports = daemon.stop()
-    assert time.monotonic() - began_s < 10.0
+    assert time.monotonic() - began_s < 30.0
     assert set(reports) == {"camera", "projector", "stage1", "stage2"}
     assert all(report.stopped and report.error is None for report in reports.values())
     at_rest(world)
@@ -332,7 +333,7 @@ def test_stop_is_latched_and_fails_the_run(daemon: RigDaemon, world: WorldContro
     daemon.act(run_id, "retry", lease)
     daemon.release_lease(lease)
     daemon.queue_action("resume")
-    assert ended(daemon, run_id, 60).state is RunState.SUCCEEDED
+    assert ended(daemon, run_id).state is RunState.SUCCEEDED
 
 
 def test_commands_by_hand(daemon: RigDaemon, world: WorldControl, lease: str) -> None:
@@ -367,7 +368,8 @@ def test_commands_by_hand(daemon: RigDaemon, world: WorldControl, lease: str) ->
 
 
 def test_an_expired_lease_leaves_the_rig_dark(daemon: RigDaemon, world: WorldControl) -> None:
-    daemon.take_lease(OWNER, 0.3)
+    # Long enough for two commands, however busy the machine.
+    daemon.take_lease(OWNER, 3.0)
     daemon.hand.projector_led(Led.INFRARED, 0.3)
     daemon.hand.projector_show("white")
     assert world.call("state")["light"]

@@ -19,7 +19,7 @@ from irpmd_rig.store.states import Reason, RunState
 from tests.small_world import rig_file, until
 from tests.small_world import world as served
 
-PLACES_MM = tuple(range(0, 60, 6))
+PLACES_MM = tuple(range(0, 60, 3))
 PROGRAM = """
 import sys
 from pathlib import Path
@@ -64,14 +64,14 @@ def killed_daemon(world: WorldControl, root: Path, wait_s: float) -> tuple[str, 
         assert process.stdout is not None
         run_id, later_id = process.stdout.readline().split()
         manifest = root / run_id / "manifest.jsonl"
-        until(lambda: manifest.stat().st_size > 0, 30.0)
+        until(lambda: manifest.stat().st_size > 0)
         time.sleep(wait_s)
         helpers = children(process.pid)
         assert len(helpers) >= 2
         process.send_signal(signal.SIGKILL)
-        process.wait(10)
+        process.wait(60)
     # The camera's and the computing process never outlive it.
-    until(lambda: not any(exists(pid) for pid in helpers), 10.0)
+    until(lambda: not any(exists(pid) for pid in helpers))
     return run_id, later_id
 
 
@@ -103,7 +103,7 @@ def test_a_killed_daemon_loses_no_frame_and_nothing_resumes_by_itself(world: Wor
         assert daemon.queue_status().waiting == (later_id, run_id)
         daemon.release_lease(lease)
         daemon.queue_action("resume")
-        status = ended(daemon, run_id, 60.0)
+        status = ended(daemon, run_id)
         assert (status.state, status.attempt, status.frames) == (RunState.SUCCEEDED, 2, 6 * len(PLACES_MM))
         # The axes were homed again: nothing of the first attempt is mixed in, but its files stay.
         assert {entry.attempt for entry in daemon.store.run(run_id).manifest()} == {2}
@@ -120,7 +120,7 @@ def test_a_daemon_that_is_closed_interrupts_its_run_and_leaves_the_rig_at_rest(
     before = children(os.getpid())
     began_s = time.monotonic()
     daemon.close()
-    assert time.monotonic() - began_s < 15.0
+    assert time.monotonic() - began_s < 60.0
     at_rest(world)
     last = RunFolder(tmp_path / run_id).state()
     assert last is not None

@@ -1,6 +1,7 @@
 """Alignment and what is characterised, as whole runs on a small simulated rig whose operator really turns the glass."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from irpmd_rig.acquisition.control import WorldControl
 from irpmd_rig.acquisition.daemon import RecipeText, RigDaemon
 from irpmd_rig.acquisition.rig import Rig
 from irpmd_rig.acquisition.status import RunStatus
+from irpmd_rig.processing import Announce, ProcessedRun, Worker
 from irpmd_rig.shipped import world_file
 from irpmd_rig.store.states import Reason, RunState
 from sims.world import load_world
@@ -48,7 +50,7 @@ def calibrated(daemon: RigDaemon) -> RigDaemon:
 def _ended(daemon: RigDaemon, recipe: str) -> RunStatus:
     submitted, _ = daemon.submit(RecipeText(recipe))
     daemon.queue_action("resume")
-    return ended(daemon, submitted.id, 110.0)
+    return ended(daemon, submitted.id, 300.0)
 
 
 def _run(daemon: RigDaemon, recipe: str) -> tuple[str, dict[str, Any]]:
@@ -68,7 +70,17 @@ def _tilt_deg(world: WorldControl) -> np.ndarray:
     return np.add(turned, [TRUTH.glass.tilt_about_x_deg, TRUTH.glass.tilt_about_y_deg])
 
 
-def test_the_glass_is_turned_until_it_is_parallel(calibrated: RigDaemon, world: WorldControl) -> None:
+def test_the_glass_is_turned_until_it_is_parallel(
+    calibrated: RigDaemon, world: WorldControl, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed: list[Path] = []
+    process = Worker.process
+
+    def counted(worker: Worker, folder: Path, announce: Announce) -> ProcessedRun:
+        computed.append(folder)
+        return process(worker, folder, announce)
+
+    monkeypatch.setattr(Worker, "process", counted)
     world.call("turn_glass", about_x_deg=-0.8, about_y_deg=1.2)
     run_id, result = _run(calibrated, "{kind: align, name: parallel, tolerance_deg: 0.1, rounds: 4}")
     at_rest(world)
@@ -83,15 +95,26 @@ def test_the_glass_is_turned_until_it_is_parallel(calibrated: RigDaemon, world: 
     folder = calibrated.store.run(run_id)
     rounds = {entry.station for entry in folder.manifest() if entry.label == "mirror"}
     assert len(rounds) == len(result["rounds"]) < 4
+    assert len(computed) == len(rounds)
     asked = [state.state for state in folder.states()].count(RunState.WAITING_FOR_OPERATOR)
     assert asked == 3 + len(rounds) - 1
     assert abs(last["about_x_deg"]) <= 0.1
 
 
-def test_rounds_end_and_what_is_left_is_said(calibrated: RigDaemon, world: WorldControl) -> None:
+def test_a_glass_that_is_out_of_tolerance_after_the_last_round_is_no_success(
+    calibrated: RigDaemon, world: WorldControl
+) -> None:
     world.call("turn_glass", about_x_deg=0.0, about_y_deg=1.0)
     before = _tilt_deg(world)
-    _, result = _run(calibrated, "{kind: align, name: parallel, tolerance_deg: 0.1, rounds: 1}")
+    status = _ended(calibrated, "{kind: align, name: parallel, tolerance_deg: 0.1, rounds: 1}")
+    assert (status.state, status.reason) == (RunState.FAILED, Reason.REFUSED)
+    assert "not parallel within the tolerance" in status.detail
+    assert "Turn the ground glass: its +x side away from the mirror" in status.detail
+    # Nothing is measured with a rig that is not as it was wanted.
+    assert calibrated.queue_status().held
+    # What was found is kept, and says of which round it is.
+    result = calibrated.store.run(status.id).results.read_json("result.json")
+    assert (result["of_round"], result["rounds_at_most"], result["over"]) == (1, 1, True)
     assert not result["aligned"]
     assert "not parallel" in result["words"]
     assert "+x side away from the mirror" in result["next"]
@@ -137,7 +160,7 @@ def test_a_compensation_that_is_none_is_refused_before_anything_moves(
     daemon.act(named.id, "abort", lease)
     daemon.release_lease(lease)
     daemon.queue_action("resume")
-    status = ended(daemon, submitted.id, 60.0)
+    status = ended(daemon, submitted.id)
     assert (status.state, status.reason) == (RunState.FAILED, Reason.REFUSED)
     assert f"compensation {named.id} cannot be used" in status.detail
     assert not status.frames

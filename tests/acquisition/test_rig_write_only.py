@@ -52,6 +52,9 @@ def test_making_safe_says_when_a_move_will_have_ended(rig):
     stage.move_to(9.0)
     answer = rig.make_safe()["stage1"]
     assert not answer.stopped
-    assert 1.0 < answer.ends_in_s < 4.0
-    time.sleep(answer.ends_in_s)
+    # 10 mm at 20 mm/s, with its commands and ramps; how much of that is over is the machine's business.
+    assert 0.0 < answer.ends_in_s < 4.0
+    assert truth_mm(rig) != pytest.approx(9.0, abs=0.02)
+    # The world is another process, which may have heard of the start a moment later.
+    time.sleep(answer.ends_in_s + 0.5)
     assert truth_mm(rig) == pytest.approx(9.0, abs=0.02)

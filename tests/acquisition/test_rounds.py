@@ -7,10 +7,10 @@ import pytest
 from test_sequencer import TWO, Bench
 
 from irpmd_rig.acquisition.conduct import RunEnded
-from irpmd_rig.acquisition.rounds import asked_next
+from irpmd_rig.acquisition.rounds import aim_missed, asked_next
 from irpmd_rig.processing import ProcessedRun
 from irpmd_rig.recipes.plan import Plan, Prompt, Scene
-from irpmd_rig.store.states import Reason
+from irpmd_rig.store.states import Reason, RunState
 
 TURN = Prompt("Turn it.", Scene("mirror", turn_deg=(0.0, -0.1)))
 
@@ -50,3 +50,10 @@ def test_what_is_asked_is_what_was_computed() -> None:
     assert asked_next(done) is None
     summary = {"ask": "Turn it.", "turn_about_x_deg": 0.0, "turn_about_y_deg": -0.1}
     assert asked_next(ProcessedRun("x", "align", {}, (), {**summary})) == TURN
+
+
+def test_what_the_last_round_leaves_to_do_is_no_success() -> None:
+    assert aim_missed(ProcessedRun("x", "align", {}, (), {"aligned": 1})) is None
+    missed = aim_missed(ProcessedRun("x", "align", {}, (), {"aligned": 0, "left": "Turn it on."}))
+    assert missed is not None
+    assert (missed.state, missed.reason, missed.detail) == (RunState.FAILED, Reason.REFUSED, "Turn it on.")

@@ -22,7 +22,7 @@ class Instruments:
         self.hang.set()
 
     def make_safe(self) -> dict[str, Any]:
-        self.hang.wait(5)
+        self.hang.wait(60)
         return self.answers
 
 
@@ -61,7 +61,7 @@ def test_an_instrument_that_never_answers_holds_nobody_up() -> None:
     began_s = time.monotonic()
     reports = made.make_safe()
     rig.hang.set()
-    assert time.monotonic() - began_s < 2.0
+    assert time.monotonic() - began_s < 30.0
     assert set(reports) == {"camera", "projector", "stage1"}
     assert all(not report.stopped and "did not answer" in (report.error or "") for report in reports.values())
     assert set(made.concerns) == set(reports)

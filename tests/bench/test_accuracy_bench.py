@@ -1,5 +1,7 @@
 """The accuracy bench: worlds drawn from a seed, runs taken in them, figures beside the truth."""
 
+import json
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,7 +33,7 @@ def measurement(case, seed, subject, *errors_um):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("change", [Change(), Change(bow_um=20.0), Change(warped=True), Change(noisy=True)])
+@pytest.mark.parametrize("change", [Change(), Change(bow_um=20.0), Change(warped=True), Change(read_noise=2.0)])
 def test_worlds_are_misaligned_by_the_stated_sizes(tmp_path, seed, change):
     write_world(tmp_path / "world.yaml", seed, change)
     world = load_world(tmp_path / "world.yaml")
@@ -44,7 +46,7 @@ def test_worlds_are_misaligned_by_the_stated_sizes(tmp_path, seed, change):
     assert (stage.position_noise_um, projector.gamma, world.camera.psf_px, world.camera.bits) == (1.0, 1.05, 0.7, 8)
     assert glass.bow_um == change.bow_um
     assert projector.warp_amplitude_px == (0.256 if change.warped else 0.0)
-    assert world.camera.read_noise_e == (26.0 if change.noisy else 13.0)
+    assert world.camera.read_noise_e == 13.0 * change.read_noise
 
 
 def test_axes_and_signs_are_the_seeds(tmp_path):
@@ -92,6 +94,20 @@ def test_the_lab_takes_and_computes_a_run(tmp_path):
     assert not list(tmp_path.glob("rendered-*"))
     assert truth.d_mm == 180.0
     assert len(truth.facets) == len(truth.steps_mm) + 1 == 5
+
+
+def test_a_recipe_s_led_lights_the_run(tmp_path):
+    path = tmp_path / "world.yaml"
+    rig = rig_facts(write_world(path, 1, Change()))
+    exposures_us = []
+    for light in ("", "light: {led: green, intensity: 0.6}\n"):
+        recipe = f"kind: reference\nname: reference\n{light}"
+        rendered = Lab(tmp_path, 64, 1)._render(Task(recipe, path, rig, 11, "paper", 1))
+        taken = json.loads((rendered / "frames" / "frames.json").read_text())["stations"]
+        exposures_us.append(taken[0]["exposure_us"])
+        shutil.rmtree(rendered)
+    infrared, visible = exposures_us
+    assert visible < 0.6 * infrared  # ambient light and a more sensitive camera: metered, it does not saturate
 
 
 def test_the_simulator_s_complaint_is_passed_on(tmp_path):

@@ -21,7 +21,7 @@ def test_each_row_of_the_depth_stands_beside_the_decoding():
     assert [(row.sense, row.must, row.aim) for row in rows] == [
         ("at most", 2.5, 1.5),
         ("at most", 2.5, 1.5),
-        ("at most", None, None),
+        ("at most", 2.5, 1.5),
     ]
     for row in rows:
         assert row.baseline == DECODE

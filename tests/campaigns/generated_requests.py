@@ -86,7 +86,7 @@ class Campaign:
         self.session = requests.Session()
         self.session.trust_env = False
         authorized = {"Authorization": f"Bearer {TOKEN}"}
-        answer = self.session.get(f"{service.url}/api/v1/openapi.json", headers=authorized, timeout=10)
+        answer = self.session.get(f"{service.url}/api/v1/openapi.json", headers=authorized, timeout=60)
         self.schema = schemathesis.openapi.from_dict(answer.json())
         # All requests have the token: without it there is nothing behind it to look at.
         self.schema.config.generation.with_security_parameters = False

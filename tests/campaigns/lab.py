@@ -1,6 +1,7 @@
 """A simulated rig with its daemon, each a process of its own, as they stand in a lab; and eyes on both."""
 
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -52,8 +53,11 @@ def until(what: Callable[[], Any], limit_s: float, name: str = "it") -> Any:
 
 
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as line:
-        return int(line.getsockname()[1])
+    """Not one that the kernel hands out by itself: nobody takes it while no daemon listens there."""
+    while True:
+        port = random.SystemRandom().randrange(10_000, 32_000)
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
 
 
 def alive(process: psutil.Process) -> bool:
@@ -88,9 +92,9 @@ class Daemon:
         """End it as a power cut of the process would, and see that all its helpers end by themselves."""
         self.helpers()
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait(60)
         self.client.close()
-        until(lambda: not any(map(alive, self._helpers)), 10.0, "the end of the daemon's helpers")
+        until(lambda: not any(map(alive, self._helpers)), 60.0, "the end of the daemon's helpers")
 
     def terminate(self, number: int = signal.SIGTERM) -> int:
         """Ask it to end; returns its exit status."""
@@ -98,7 +102,7 @@ class Daemon:
         self.process.send_signal(number)
         status = self.process.wait(60)
         self.client.close()
-        until(lambda: not any(map(alive, self._helpers)), 10.0, "the end of the daemon's helpers")
+        until(lambda: not any(map(alive, self._helpers)), 60.0, "the end of the daemon's helpers")
         return status
 
     def memory_bytes(self) -> int:
@@ -127,7 +131,7 @@ class Daemon:
         run: Run = self.client.submit(recipe, idempotency_key=key)
         return run.id
 
-    def ready(self, limit_s: float = 45.0) -> None:
+    def ready(self, limit_s: float = 90.0) -> None:
         """Wait until only a person's leave is missing for a run to begin."""
 
         def only_held() -> bool:
@@ -321,4 +325,4 @@ def lab(folder: Path | None = None, **options: Any) -> Iterator[Lab]:
             assert process.stdout.readline().startswith(b"ready")
             yield Lab(folder, WorldControl(folder / "world"), process.pid)
         finally:
-            process.communicate(timeout=30)
+            process.communicate(timeout=60)

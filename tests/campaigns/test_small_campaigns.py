@@ -8,14 +8,14 @@ from tests.campaigns import faults, kills, replies
 from tests.campaigns.report import Report
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(1200)
 def test_twenty_runs_with_a_fault_at_a_random_moment() -> None:
     report = faults.campaign(20, 1)
     assert not report.bad, report
     assert report.figures["faults"] >= 20
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(1200)
 def test_five_kills_in_the_middle_of_a_measurement() -> None:
     report = kills.campaign(5, 1)
     assert not report.bad, report

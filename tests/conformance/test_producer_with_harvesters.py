@@ -379,7 +379,7 @@ def test_a_killed_client_frees_the_camera(
     assert camera.acquiring
     victim.kill()
     victim.end()
-    deadline_s = time.monotonic() + 5
+    deadline_s = time.monotonic() + 30
     while camera.acquiring and time.monotonic() < deadline_s:
         time.sleep(0.01)
     process.open(server)
@@ -390,7 +390,7 @@ def test_a_killed_client_frees_the_camera(
 
 def settled_resources() -> tuple[int, int]:
     """Return this process's descriptors and threads, once the server has seen that its client is gone."""
-    deadline_s = time.monotonic() + 2
+    deadline_s = time.monotonic() + 30
     while time.monotonic() < deadline_s and any(thread.name == "camera client" for thread in threading.enumerate()):
         time.sleep(0.005)
     return sum(1 for _ in Path("/proc/self/fd").iterdir()), threading.active_count()

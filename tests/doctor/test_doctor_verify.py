@@ -56,7 +56,7 @@ def world(tmp_path_factory):
     )
     assert process.stdout.readline().startswith(b"ready")
     yield WorldControl(folder)
-    process.communicate(timeout=20)
+    process.communicate(timeout=60)
 
 
 @pytest.fixture

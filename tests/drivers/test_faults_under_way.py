@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from world_bench import PATTERNS, WorldBench, raised
+from world_bench import HANG_S, PATTERNS, WorldBench, raised
 
 from drivers.errors import DeviceFault, DeviceLost, InstrumentError, MotionFailed, NotConnected, Refused, TimedOut
 from drivers.values import CameraSettings, SyncOutput
@@ -21,9 +21,9 @@ def test_unplugged_while_a_trigger_is_awaited(bench: WorldBench) -> None:
     bench.camera.configure(CameraSettings(exposure_us=2000.0, pixel_format="Mono8", trigger="hardware"))
     bench.camera.arm(3)
     bench.soon("camera_unplug")
-    with raised("camera", 1.5, DeviceLost):
-        bench.camera.fetch(0.5)
-    with raised("camera", 3.0, DeviceLost, NotConnected):
+    with raised("camera", DeviceLost):
+        bench.camera.fetch(3.0)
+    with raised("camera", DeviceLost, NotConnected):
         bench.camera.arm(1)
     bench.move("stage1")
     bench.project()
@@ -36,16 +36,16 @@ def test_the_camera_s_process_is_killed_while_frames_stream(bench: WorldBench) -
     bench.camera.arm()
     killed = bench.camera.process_id
     threading.Timer(0.15, os.kill, (killed, signal.SIGKILL)).start()
-    with raised("camera", 1.5, DeviceLost):
+    with raised("camera", DeviceLost):
         while True:
-            bench.camera.fetch(1.0)
+            bench.camera.fetch(30.0)
     bench.works()
     assert bench.camera.process_id != killed
 
 
 def test_a_camera_that_is_too_hot_is_not_armed(bench: WorldBench) -> None:
     bench.fault("camera_overheat", temperature_c=85.0)
-    with raised("camera", 1.0, DeviceFault):
+    with raised("camera", DeviceFault):
         bench.camera.arm(1)
     assert bench.world("state")["camera"]["armed"] is False
     bench.fault("camera_cool")
@@ -57,11 +57,11 @@ def test_a_camera_that_is_too_hot_is_not_armed(bench: WorldBench) -> None:
 
 def test_unplugged_while_patterns_are_loaded(bench: WorldBench) -> None:
     bench.soon("projector_unplug")
-    with raised("projector", 3.0, DeviceLost):
+    with raised("projector", DeviceLost):
         while True:
             # Planes that the box has already are not sent again.
             bench.projector.load(np.random.default_rng().integers(0, 256, PATTERNS.shape, np.uint8))
-    with raised("projector", 1.0, NotConnected, DeviceLost):
+    with raised("projector", NotConnected, DeviceLost):
         bench.projector.stop()
     bench.shoot()
     bench.fault("projector_replug")
@@ -84,7 +84,7 @@ def test_a_fault_while_a_sequence_runs_leaves_no_light(
     bench.projector.repeat()
     assert bench.world("state")["running"]
     bench.fault(fault)
-    with raised("projector", 2.0, error):
+    with raised("projector", error):
         for _ in range(3):
             # A pass under way takes no other order: the box is asked how it is, first.
             status = bench.projector.status()
@@ -103,7 +103,7 @@ def test_missed_pulses_are_a_time_out_at_the_camera(bench: WorldBench) -> None:
     bench.camera.arm(4)
     bench.fault("sync_missed", edges=2)
     bench.projector.run_once()
-    with raised("camera", 2.5, TimedOut):
+    with raised("camera", TimedOut):
         for _ in range(4):
             bench.camera.fetch(0.5)
     bench.camera.stop()
@@ -114,16 +114,19 @@ def test_missed_pulses_are_a_time_out_at_the_camera(bench: WorldBench) -> None:
 
 
 def test_one_stage_is_unplugged_and_the_other_arrives(bench: WorldBench) -> None:
+    # So slow that it is on its way whenever the fault comes.
+    bench.stages["stage1"].set_speed(4.0)
     for stage in bench.stages.values():
         stage.move_to(150.0)
     bench.soon("stage_unplug", stage="stage1")
-    with raised("stage1", 1.0, DeviceLost):
+    with raised("stage1", DeviceLost):
         bench.stages["stage1"].wait()
     assert bench.stages["stage2"].wait().position_mm == pytest.approx(150.0, abs=0.01)
     assert bench.stages["stage1"].state().position is None
     bench.fault("stage_replug", stage="stage1")
-    with raised("stage1", 1.5, Refused):
+    with raised("stage1", Refused):
         bench.stages["stage1"].move_to(1.0)
+    bench.stages["stage1"].set_speed(20.0)
     bench.works()
 
 
@@ -141,11 +144,11 @@ def test_stop_reaches_everything_while_everything_fails(bench: WorldBench) -> No
         began_s = time.monotonic()
         with suppress(InstrumentError):
             assert instrument.stop().stopped
-        assert time.monotonic() - began_s < 4.0
+        assert time.monotonic() - began_s < HANG_S
     bench.fault("camera_slow", seconds=0.0)
     state = bench.world("state")
     assert not state["running"]
     assert not state["stages"]["stage2"]["moving"]
-    with raised("stage2", 1.0, MotionFailed):
+    with raised("stage2", MotionFailed):
         bench.stages["stage2"].wait()
     bench.works()

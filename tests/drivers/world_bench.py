@@ -23,10 +23,12 @@ TIME_SCALE = 20
 NEAR_MM = 0.06
 PATTERNS = np.random.default_rng(1).integers(0, 256, (4, 768, 1024), np.uint8)
 ORDER = PatternSequence((0, 1, 2, 3), 8000.0)
+# Every operation here is bounded by a few seconds: it has ended by then on any machine, and what hangs has not.
+HANG_S = 40.0
 # Bounds of single answers, short so that the tests are.
 SETTINGS: dict[str, dict[str, Any]] = {
     "camera": {"answer_timeout_s": 2.0},
-    "projector": {"timeout_s": 0.5},
+    "projector": {"timeout_s": 1.0},
     "stage1": {"progress_timeout_s": 0.5, "reconnect_s": 0.5},
     "stage2": {"progress_timeout_s": 0.5, "reconnect_s": 0.5},
 }
@@ -83,7 +85,7 @@ class WorldBench:
         self.camera.configure(CameraSettings(exposure_us=2000.0, pixel_format="Mono8", trigger="software"))
         self.camera.arm(1)
         self.camera.trigger()
-        frame = self.camera.fetch(0.5)
+        frame = self.camera.fetch(3.0)
         assert (frame.index, frame.image.shape) == (0, (SIZE_PX, SIZE_PX))
         self.camera.stop()
 
@@ -114,7 +116,7 @@ class WorldBench:
             eventually(operation)
 
 
-def eventually(operation: Callable[[], None], within_s: float = 6.0) -> None:
+def eventually(operation: Callable[[], None], within_s: float = 30.0) -> None:
     give_up_s = time.monotonic() + within_s
     while True:
         try:
@@ -126,11 +128,11 @@ def eventually(operation: Callable[[], None], within_s: float = 6.0) -> None:
 
 
 @contextmanager
-def raised(device: str, within_s: float, *errors: type[InstrumentError]) -> Iterator[None]:
+def raised(device: str, *errors: type[InstrumentError]) -> Iterator[None]:
     began_s = time.monotonic()
     with pytest.raises(errors) as caught:
         yield
-    assert time.monotonic() - began_s < within_s
+    assert time.monotonic() - began_s < HANG_S
     assert type(caught.value) in errors
     assert caught.value.device == device
     assert caught.value.remedy

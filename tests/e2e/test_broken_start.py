@@ -13,7 +13,7 @@ def test_a_broken_configuration_is_told_with_its_place_and_the_service_stays(lab
     place = f"{lab.rig}:{line}:1"
     with (
         lab.serving(says="broken") as (process, url),
-        httpx.Client(base_url=url, trust_env=False, timeout=20.0) as client,
+        httpx.Client(base_url=url, trust_env=False, timeout=60.0) as client,
     ):
         for path in ("/", "/health", "/api/v1/rig"):
             page = client.get(path, headers={"Accept": "text/html"})
@@ -31,7 +31,7 @@ def test_a_broken_configuration_is_told_with_its_place_and_the_service_stays(lab
         assert process.poll() is None
         assert lab.log.read_text().count(place) == 1
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
     assert not lab.root.exists()
     lab.write_rig()
     with lab.daemon() as daemon:

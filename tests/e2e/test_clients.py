@@ -30,7 +30,7 @@ def other(daemon: Daemon, token: str) -> Iterator[Client]:
 @pytest.fixture
 def raw(daemon: Daemon, token: str) -> Iterator[httpx.Client]:
     headers = {"Authorization": f"Bearer {token}"}
-    with httpx.Client(base_url=daemon.client.url, headers=headers, trust_env=False, timeout=20.0) as client:
+    with httpx.Client(base_url=daemon.client.url, headers=headers, trust_env=False, timeout=60.0) as client:
         yield client
 
 

@@ -57,7 +57,7 @@ def test_a_run_that_does_not_fit_is_refused_before_it_begins(daemon: Daemon, roo
 def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_written(lab: Lab, daemon: Daemon, root: Path) -> None:
     run_id = daemon.begin(FITS, frames=3)
     filler = fill(root)
-    run = daemon.ended(run_id, 20.0)
+    run = daemon.ended(run_id, 60.0)
     assert (run.state, run.reason) == ("failed", "disk_full"), run.detail
     lab.at_rest()
     folder = root / run_id

@@ -14,7 +14,7 @@ LONG = stations(*PLACES_MM, pattern="white", wait_s=0.15)
 SHORT = stations(0)
 STAGE = {"stage": "stage1"}
 # A run whose instrument is gone has failed within this.
-BOUND_S = 10.0
+BOUND_S = 60.0
 
 
 class Fault(NamedTuple):
@@ -158,7 +158,7 @@ def test_a_frame_that_fails_is_taken_again_and_no_index_shifts(
 
 def test_frames_that_never_come_end_the_run_after_a_bounded_number_of_attempts(lab: Lab, daemon: Daemon) -> None:
     # Two attempts, of five seconds each.
-    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 10_000}, bound_s=20.0))
+    failed(lab, daemon, Fault("frame_dropped", {"frames_lost"}, {"frames": 10_000}, bound_s=80.0))
     lab.fault("frame_dropped", frames=1)
     assert daemon.carry_out(SHORT).state == "succeeded"
 
@@ -176,7 +176,7 @@ def test_a_camera_process_that_is_killed_is_replaced(lab: Lab, daemon: Daemon) -
     run_id = daemon.begin(LONG, frames=2)
     before.kill()
     run = daemon.ended(run_id, BOUND_S)
-    lab.at_rest(5.0)
+    lab.at_rest(30.0)
     assert complaints(lab.root / run_id) == []
     until(lambda: "camera" in daemon.helpers(), 30.0, "another camera process")
     assert daemon.helpers()["camera"].pid != before.pid

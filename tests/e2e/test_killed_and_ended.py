@@ -20,7 +20,7 @@ from tests.campaigns.recipes import CHAIN, stations
 
 PLACES_MM = range(0, 36, 3)
 LONG = stations(*PLACES_MM, wait_s=0.1)
-WATCHDOG_S = 0.6
+WATCHDOG_S = 2.0
 
 
 def test_after_a_kill_the_next_start_makes_the_rig_safe_and_a_retry_completes_the_run(lab: Lab) -> None:
@@ -108,6 +108,7 @@ def test_the_watchdog_is_fed_by_the_event_loop_itself(manager: tuple[socket.sock
     import asyncio
 
     line, environment = manager
+    hanging = threading.Event()
 
     async def hangs(scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] == "lifespan":
@@ -116,7 +117,8 @@ def test_the_watchdog_is_fed_by_the_event_loop_itself(manager: tuple[socket.sock
             await receive()
             await send({"type": "lifespan.shutdown.complete"})
             return
-        time.sleep(4 * WATCHDOG_S)
+        hanging.set()
+        time.sleep(3 * WATCHDOG_S)
         await send({"type": "http.response.start", "status": 204, "headers": []})
         await send({"type": "http.response.body", "body": b""})
 
@@ -125,17 +127,17 @@ def test_the_watchdog_is_fed_by_the_event_loop_itself(manager: tuple[socket.sock
         thread = threading.Thread(target=asyncio.run, args=(server.serve(),))
         thread.start()
         try:
-            until(lambda: server.started, 20.0, "the start")
+            until(lambda: server.started, 60.0, "the start")
             assert not silence(line)
-            asking = threading.Thread(target=httpx.get, args=(server.url,), kwargs={"trust_env": False, "timeout": 20})
+            asking = threading.Thread(target=httpx.get, args=(server.url,), kwargs={"trust_env": False, "timeout": 60})
             asking.start()
-            time.sleep(0.2 * WATCHDOG_S)
+            assert hanging.wait(30)
             assert silence(line)
-            asking.join(20)
+            asking.join(60)
             assert not silence(line)
         finally:
             server.ask_to_end()
-            thread.join(20)
+            thread.join(60)
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +152,9 @@ def test_a_stop_that_a_hanging_camera_does_not_obey_is_bounded(lab: Lab, daemon:
     camera.suspend()
     began_s = time.monotonic()
     stop = daemon.client.stop()
-    assert time.monotonic() - began_s < 30.0
+    assert time.monotonic() - began_s < 60.0
     assert stop.devices["projector"].outcome == stop.devices["stage1"].outcome == "stopped"
-    run = daemon.ended(run_id, 1.0)
+    run = daemon.ended(run_id, 30.0)
     assert (run.state, run.reason) == ("failed", "stopped"), run.detail
     state = lab.state()
     assert not state["led"] or not state["intensity"]
@@ -161,7 +163,7 @@ def test_a_stop_that_a_hanging_camera_does_not_obey_is_bounded(lab: Lab, daemon:
     daemon.client.clear_stop()
     daemon.ready()
     lab.at_rest()
-    until(lambda: "camera" in daemon.helpers(), 10.0, "another camera process")
+    until(lambda: "camera" in daemon.helpers(), 60.0, "another camera process")
     assert daemon.helpers()["camera"].pid != camera.pid
     assert daemon.carry_out(stations(0)).state == "succeeded"
 
@@ -175,8 +177,8 @@ def test_a_computing_process_that_does_not_obey_is_killed(lab: Lab, daemon: Daem
     began_s = time.monotonic()
     with daemon.lease():
         daemon.client.act(run_id, "abort")
-        run = daemon.ended(run_id, 10.0)
-    assert time.monotonic() - began_s < 10.0
+        run = daemon.ended(run_id, 60.0)
+    assert time.monotonic() - began_s < 60.0
     assert (run.state, run.reason, run.results) == ("aborted", "aborted_by_user", ()), run.detail
     assert not computing.is_running() or computing.status() == psutil.STATUS_ZOMBIE
     assert complaints(lab.root / run_id) == []

@@ -128,7 +128,7 @@ class SimulatedRuns:
             checks={"ok": True} if self.checked else {},
         )
         if shot.role == "fringes":
-            patterns = fringe_images(shot.counts, shot.steps, self.rig.world.projector.size_px)
+            patterns = fringe_images(shot.counts, shot.steps, self.rig.world.projector.size_px, shot.orientation)
             for number, patterns_of_set in enumerate(patterns):
                 for step, pattern in enumerate(patterns_of_set):
                     folder.write_frame(self._frame(pattern), entry.model_copy(update={"set": number, "step": step}))

@@ -113,7 +113,7 @@ def test_a_process_that_hangs_is_replaced(worker, folder):
     started = time.monotonic()
     with pytest.raises(ComputingLost, match=r"told nothing for 0\.5 s and was replaced"):
         worker.process(folder.path)
-    assert time.monotonic() - started < 10
+    assert time.monotonic() - started < 60
     assert gone(pid)
     worker.silence_s = usual
     assert worker.process(folder.path).files
@@ -190,4 +190,4 @@ def test_it_ends_with_its_parent_in_the_middle_of_its_work(chain, folder):
         pid = next(int(line.split()[0]) for line in lines if "40 mm" in line)
         assert not gone(pid)
         parent.kill()
-    wait_until(lambda: gone(pid), 5.0)
+    wait_until(lambda: gone(pid), 30.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpmd_rig.core import Intrinsics, Plane, rays, reference_frame
+from irpmd_rig.core import Facets, Intrinsics, Plane, rays, reference_frame
 from irpmd_rig.core.reconstruction.depth_equation import equation_depth
 from irpmd_rig.core.reconstruction.views import DepthMap, Views
 from irpmd_rig.processing import FramesUnusable, optics
@@ -13,6 +13,7 @@ from irpmd_rig.processing.depth import depth_map, windowed
 from irpmd_rig.processing.estimates import MethodResult
 from irpmd_rig.processing.evaluate import Change, evaluate, facet_means, step_covariances_um2
 from irpmd_rig.processing.frames import FringeStation, check_along_y
+from irpmd_rig.processing.methods import _thinning
 from irpmd_rig.processing.regions import bounding_box, common, grow, inside, lit, overlap, shrink, within
 from irpmd_rig.processing.report import MethodFiles, _method_content
 
@@ -135,6 +136,13 @@ def test_the_mean_over_a_facet_leaves_unknown_pixels_out():
     np.testing.assert_array_equal(facet_means(change, labels, 3), [2.0, np.nan, 5.0])
 
 
+@pytest.mark.parametrize(("width", "every"), [(100, 8), (40, 8), (8, 2), (3, 1)])
+def test_small_facets_are_thinned_less(width, every):
+    labels = np.zeros((120, 240), np.int32)
+    labels[:, :100], labels[10:40, 120 : 120 + width] = 1, 2
+    assert _thinning(Facets(labels, 2, 0.1)) == every
+
+
 def test_fringes_along_y_are_as_those_along_x():
     along_x = tuple(FringeStation(number, "object", "x", (64.0, 63.0, 56.0), 4, ()) for number in range(2))
     along_y = tuple(replace(station, orientation="y") for station in along_x)
@@ -145,7 +153,7 @@ def test_fringes_along_y_are_as_those_along_x():
 
 
 def test_maps_of_the_glass_are_kept_all_or_none(monkeypatch):
-    rig = optics.KnownRig(None, (1, 2), np.empty((0, 2)), None, 1.0, None)
+    rig = optics.KnownRig(None, (1, 2), np.empty((0, 2)), True, None, 1.0, None)
 
     def tabulated(model, axis):
         if model == 2 and failing:

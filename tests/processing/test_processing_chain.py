@@ -4,7 +4,6 @@ import csv
 import json
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -72,8 +71,6 @@ def test_what_is_written_belongs_together(chain):
     with results.path("steps.csv").open() as table:
         rows = list(csv.DictReader(table))
     assert [float(row["measured_mm"]) for row in rows] == chain.content("measure")["measured_steps_mm"]
-    for name in ("frames", "wrapped_phase", "absolute_phase", "depth", "facets", "surface"):
-        assert cv2.imread(str(results.path(f"{name}.png"))).std() > 5
     assert set(chain.processed["measure"].files) == set(results.names())
 
 
@@ -184,7 +181,7 @@ def test_old_and_new_results_never_lie_side_by_side(chain, tmp_path):
     shutil.copytree(chain.folders["measure"].path, path)
     folder = RunFolder(path)
     entries = folder.manifest()
-    for name in ("frames.png", "result.json"):
+    for name in ("steps.csv", "result.json"):
         assert name in folder.results.names()
     # What cannot be computed at all leaves everything as it was.
     hidden = folder.file(entries[-1].path).rename(path / "hidden.tif")

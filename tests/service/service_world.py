@@ -52,7 +52,7 @@ class Service:
     def client(self, **settings: Any) -> httpx.Client:
         headers = {"Authorization": f"Bearer {TOKEN}"} | settings.pop("headers", {})
         # Without certificates, which take longer to load than all else.
-        return httpx.Client(base_url=self.url, headers=headers, trust_env=False, timeout=20.0, verify=False, **settings)
+        return httpx.Client(base_url=self.url, headers=headers, trust_env=False, timeout=60.0, verify=False, **settings)
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def serving(daemon: RigDaemon, **settings: Any) -> Iterator[Service]:
             yield Service(daemon, server.url)
         finally:
             server.ask_to_end()
-            thread.join(20)
+            thread.join(60)
             assert not thread.is_alive()
 
 

@@ -48,7 +48,7 @@ def test_calls_that_are_too_many_are_refused() -> None:
         pool, go = Pool(1, waiting=2), threading.Event()
 
         def call() -> str:
-            go.wait(10)
+            go.wait(60)
             return "done"
 
         tasks = [asyncio.create_task(pool(call)) for _ in range(5)]

@@ -48,7 +48,7 @@ class Process:
 
     def end(self) -> int:
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(30)
+        return self.process.wait(60)
 
 
 @contextmanager
@@ -59,7 +59,7 @@ def process(rig: Path, folder: Path, **environment: str) -> Iterator[Process]:
     finally:
         if made.process.poll() is None:
             made.process.kill()
-        made.process.wait(10)
+        made.process.wait(60)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def rig(lab: WorldControl, tmp_path: Path) -> Path:
 
 def client(url: str, token: str = "") -> httpx.Client:
     headers = {"Authorization": f"Bearer {token}"} if token else {}
-    return httpx.Client(base_url=url, headers=headers, trust_env=False, verify=False, timeout=20.0)
+    return httpx.Client(base_url=url, headers=headers, trust_env=False, verify=False, timeout=60.0)
 
 
 class Manager:
@@ -104,7 +104,7 @@ class Manager:
     def __exit__(self, *_: object) -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
             end.sendto(b"", self._line.getsockname())
-        self._thread.join(10)
+        self._thread.join(60)
         self._line.close()
 
 

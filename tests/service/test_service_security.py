@@ -25,7 +25,7 @@ OPERATIONS = [
 def raw(service: Service, request: str) -> str:
     """Send what no client would."""
     address = urlsplit(service.url)
-    with socket.create_connection((str(address.hostname), address.port or 0), timeout=10) as line:
+    with socket.create_connection((str(address.hostname), address.port or 0), timeout=60) as line:
         line.sendall(request.encode())
         line.shutdown(socket.SHUT_WR)
         return b"".join(iter(lambda: line.recv(65536), b"")).decode()

@@ -13,16 +13,17 @@ from irpmd_rig.store import RunFolder
 KILLS = 5
 
 
-def write_and_kill(folder: RunFolder, first: int, after_s: float) -> list[str]:
-    """Let a process write and kill it; returns the paths that it was told are durable."""
+def write_and_kill(folder: RunFolder, first: int, after: int, and_s: float) -> list[str]:
+    """Let a process write and kill it a moment after some frames; returns the paths that it was told are durable."""
     script = Path(__file__).with_name("write_until_killed.py")
     command = [sys.executable, str(script), str(folder.path), str(first)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-        time.sleep(after_s)
+        lines = [process.stdout.readline().rstrip() for _ in range(after)]
+        time.sleep(and_s)
         process.send_signal(signal.SIGKILL)
-        lines = process.stdout.read().split("\n")[:-1]
+        lines += process.stdout.read().split("\n")[:-1]
     assert process.returncode == -signal.SIGKILL
     return [line.split()[1] for line in lines]
 
@@ -33,7 +34,7 @@ def test_killed_at_any_moment_no_promised_frame_is_lost_or_wrong(tmp_path: Path)
     promised: list[str] = []
     written = 0
     for _ in range(KILLS):
-        promised += write_and_kill(folder, written, moments.uniform(0.0, 0.15))
+        promised += write_and_kill(folder, written, moments.randrange(6), moments.uniform(0.0, 0.02))
         folder = RunFolder(folder.path)
         found = folder.reconcile()
         assert (found.lost, found.unknown) == ((), ())

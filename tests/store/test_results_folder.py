@@ -29,10 +29,7 @@ def test_json_and_arrays_come_back(results: Results) -> None:
 
 def test_what_is_written_is_what_other_programs_read(results: Results) -> None:
     depth = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4)
-    picture = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
     assert np.array_equal(tifffile.imread(results.write_map("depth_mm.tif", depth, "mm")), depth)
-    read = cv2.imread(str(results.write_picture("picture.png", picture)), cv2.IMREAD_UNCHANGED)
-    assert np.array_equal(read[..., ::-1], picture)
     path = results.write_table("steps.csv", [{"step": "1-2", "height_um": 99.5}, {"step": "2-3", "height_um": 50.25}])
     assert path.read_text() == "step,height_um\n1-2,99.5\n2-3,50.25\n"
     assert results.write_table("none.csv", []).read_text() == ""

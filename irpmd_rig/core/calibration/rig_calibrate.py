@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,13 @@ from irpmd_rig.core.calibration.rig_calibration import (
     RigView,
 )
 from irpmd_rig.core.calibration.self_cells import Cells, condense
-from irpmd_rig.core.calibration.self_fit import Fit, fit_unknowns
+from irpmd_rig.core.calibration.self_fit import Fit, fit_unknowns, weighted_squares
 from irpmd_rig.core.calibration.self_freeform import freeform_over
 from irpmd_rig.core.calibration.self_paths import lit_points
 from irpmd_rig.core.calibration.self_prior import intrinsics_covariance
 from irpmd_rig.core.calibration.self_result import result_of
 from irpmd_rig.core.calibration.self_start import first_guess
-from irpmd_rig.core.calibration.self_unknowns import Unknowns, unknowns_about
+from irpmd_rig.core.calibration.self_unknowns import STOOD_FOR, Unknowns, unknowns_about
 from irpmd_rig.core.camera import rays_at
 from irpmd_rig.core.errors import CalibrationError, FramesError
 
@@ -38,11 +39,11 @@ _LEAST_TRAVEL_MM = 1.0
 # for every coefficient: ripples of the pattern, which they cannot describe, raise chi2 too.
 _SUSPICIOUS = 1.15
 _GAIN = 10.0
-# From here on the rig's numbers alone need not be fitted to the end, and a fit that did not end is none.
+# From here on a fit of few cells need not be made one of all, and a fit that did not end is none.
 _HOPELESS = 3.0
 # What the first steps, from far off, are made with.
 _FEW_CELLS = 2000
-_ROUGH_ROUNDS = 25
+_ROUGH_ROUNDS = 40
 
 
 def calibrate_rig(
@@ -66,7 +67,7 @@ def calibrate_rig(
     geometry : RigGeometry
         Mirror and glass by the paper's calibration: the first guess, and the drawing of frame M.
     projector : NominalProjector
-        Its data sheet.
+        Size of its picture, and count of the fringes.
     board : Checkerboard, optional
         The one of the camera calibration; the paper's by default.
     stage_sigma_mm : float
@@ -88,7 +89,8 @@ def calibrate_rig(
     Notes
     -----
     About 30 numbers from the mean phases of some ten thousand cells (physics notes, section 5). Free-form terms, a
-    bow of the glass and a correction of the phase over it, are added where the residuals ask for them.
+    bow of the glass and a correction of the phase along x over it, are added where the residuals ask for them. A spray
+    whose phases do not fit those of glass and mirror is left out, and said (`RigCalibration.undetermined`).
     """
     checked_number("stage_sigma_mm", stage_sigma_mm, zero=False)
     _check(views, camera)
@@ -99,43 +101,77 @@ def calibrate_rig(
     points = lit_points(guess, cells, rays_at(camera.intrinsics, cells.pixel), read_mm[cells.view])
     aim_mm = points[cells.region != REGIONS.index(SPRAYED)].mean(axis=0)
     prior = intrinsics_covariance(camera, board or Checkerboard())
-    unknowns = unknowns_about(guess, aim_mm, projector, prior, np.full(len(views), stage_sigma_mm))
-    stage_mm = read_mm[cells.view]
-    unknowns, fit = _fitted(cells, stage_mm, unknowns)
-    used = cells if unknowns.freeform is None else cells.of(cells.region != REGIONS.index(SPRAYED))
-    return result_of(used, read_mm, unknowns, fit)
-
-
-def _fitted(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> tuple[Unknowns, Fit]:
-    """Fit of the rig's numbers, with free-form terms where the residuals ask for them."""
-    few = np.arange(len(cells)) % max(1, len(cells) // _FEW_CELLS) == 0
-    rough = fit_unknowns(cells.of(few), stage_mm[few], unknowns, unknowns.start, _ROUGH_ROUNDS)
-    plain = None
-    if rough.chi2_per_dof < _HOPELESS:
-        plain = fit_unknowns(cells, stage_mm, unknowns, rough.values)
-        if plain.chi2_per_dof < _SUSPICIOUS:
-            return unknowns, plain
-    fuller, flexible = _with_freeform(cells, stage_mm, unknowns, (plain or rough).values)
+    unknowns = unknowns_about(guess, aim_mm, prior, np.full(len(views), stage_sigma_mm))
+    found = _found(cells, read_mm[cells.view], unknowns)
     # Numbers that fringes hardly tell may creep along for ever; chi2 says whether what is left matters.
-    if plain is not None and not _worth_it(plain, flexible):
-        return unknowns, plain
-    if not flexible.settled and flexible.chi2_per_dof > _HOPELESS:
+    if not found.fit.settled and found.fit.chi2_per_dof > _HOPELESS:
         raise CalibrationError(
             "the self-calibration does not settle: check that mirror, spray and glass are marked rightly, and that the "
             "stage positions belong to the pictures"
         )
-    return fuller, flexible
+    return result_of(found.cells, read_mm, found.unknowns, found.fit, found.spray_chi2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """An estimate and the cells that it describes; if the spray is not among them, what it is off from the whole."""
+
+    cells: Cells
+    unknowns: Unknowns
+    fit: Fit
+    spray_chi2: float | None = None
+
+
+def _found(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> _Found:
+    """Fit of the rig's numbers; with free-form terms, or without the spray, where the residuals ask for it."""
+    near = _near(cells, stage_mm, unknowns)
+    whole = _fitted(cells, stage_mm, unknowns, near)
+    if whole.chi2_per_dof < _SUSPICIOUS:
+        return _Found(cells, unknowns, whole)
+    squares = weighted_squares(cells, stage_mm, unknowns, whole.values)
+    sprayed = cells.region == REGIONS.index(SPRAYED)
+    spray_chi2, glass_chi2 = float(squares[sprayed].mean()), float(squares[~sprayed].mean())
+    # The spray is lit past the glass by another part of the projector's picture, and may be marked or lit wrongly: what
+    # its light lacks of the model is not what the glass's lacks. Only cells of both fits are compared.
+    glass, glass_mm = cells.of(~sprayed), stage_mm[~sprayed]
+    bare = _fitted(glass, glass_mm, unknowns, whole.values)
+    # The free-form correction is one of the phase along x.
+    along_x = glass.axis == 0
+    lit, lit_mm = glass.of(along_x), glass_mm[along_x]
+    bare_chi2 = float(weighted_squares(lit, lit_mm, unknowns, bare.values).mean())
+    fuller, flexible = _with_freeform(lit, lit_mm, unknowns, bare.values)
+    if _explained(bare_chi2, flexible, len(fuller) - len(unknowns)):
+        return _Found(lit, fuller, flexible, spray_chi2)
+    if _explained(glass_chi2, bare, len(STOOD_FOR)):
+        return _Found(glass, unknowns, bare, spray_chi2)
+    return _Found(cells, unknowns, fit_unknowns(cells, stage_mm, unknowns, whole.values))
+
+
+def _near(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> Array:
+    """Values from which a fit goes straight.
+
+    Principal point and distortion of the projector's lens are told apart by little: together they lead a fit that is
+    still far off along a curved valley.
+    """
+    few = _few(cells)
+    centred = unknowns.holding(("projector.cx",), unknowns.start)
+    return fit_unknowns(cells.of(few), stage_mm[few], centred, unknowns.start, _ROUGH_ROUNDS).values
+
+
+def _fitted(cells: Cells, stage_mm: Array, unknowns: Unknowns, values: Array) -> Fit:
+    """Fit of all cells, or of few if these show already that the numbers do not describe them."""
+    few = _few(cells)
+    rough = fit_unknowns(cells.of(few), stage_mm[few], unknowns, values, _ROUGH_ROUNDS)
+    return rough if rough.chi2_per_dof >= _HOPELESS else fit_unknowns(cells, stage_mm, unknowns, rough.values)
+
+
+def _few(cells: Cells) -> NDArray[np.bool_]:
+    return np.asarray(np.arange(len(cells)) % max(1, len(cells) // _FEW_CELLS) == 0)
 
 
 def _with_freeform(cells: Cells, stage_mm: Array, unknowns: Unknowns, found: Array) -> tuple[Unknowns, Fit]:
-    """Fit of glass and mirror alone, with free-form terms.
-
-    The spray is lit past the glass by another part of the projector's picture: what its light lacks of the model is not
-    what the glass's lacks.
-    """
-    on_glass = cells.region != REGIONS.index(SPRAYED)
-    cells, stage_mm = cells.of(on_glass), stage_mm[on_glass]
-    few = np.arange(len(cells)) % max(1, len(cells) // _FEW_CELLS) == 0
+    """Fit of glass and mirror alone, with free-form terms."""
+    few = _few(cells)
     model = unknowns.model(found)
     points = lit_points(model, cells, rays_at(model.intrinsics, cells.pixel), stage_mm)
     fuller = unknowns.with_freeform(freeform_over(points), found)
@@ -144,11 +180,10 @@ def _with_freeform(cells: Cells, stage_mm: Array, unknowns: Unknowns, found: Arr
     return fuller, fit_unknowns(cells, stage_mm, fuller, rough.values)
 
 
-def _worth_it(plain: Fit, flexible: Fit) -> bool:
-    """Whether free-form terms explain more than the same number of others would."""
-    left = flexible.chi2_per_dof
-    gained = (plain.chi2_per_dof - left) * len(flexible.residual)
-    return gained > _GAIN * left * (len(flexible.values) - len(plain.values))
+def _explained(before: float, after: Fit, numbers: int) -> bool:
+    """Whether chi2 fell by more on these cells than so many numbers of any kind would make it."""
+    left = after.chi2_per_dof
+    return (before - left) * len(after.residual) > _GAIN * left * numbers
 
 
 def _check(views: Sequence[RigView], camera: CameraCalibration) -> None:

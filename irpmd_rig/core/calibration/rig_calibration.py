@@ -49,7 +49,7 @@ class RigView:
 
 @dataclass(frozen=True, slots=True)
 class NominalProjector:
-    """What is known of the projector before: by its data sheet, roughly.
+    """What is known of the projector before; lens, place and shape of its pixels are found from the phases.
 
     Attributes
     ----------
@@ -57,13 +57,10 @@ class NominalProjector:
         Columns and rows of the pictures that it shows.
     count : float
         Fringe count to which the absolute phases belong: the finest set's.
-    focal_px : float
-        Focal length over pixel pitch; 20 % off is near enough.
     """
 
     size_px: tuple[int, int]
     count: float
-    focal_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +118,14 @@ class RigCalibration:
     chi2_per_dof : float
         Of the cells' residuals against their stated noise: near 1 where the model describes the rig.
     chi2_by_region : dict
-        The same, mean over the cells of ``mirror``, ``sprayed`` and ``glass``; with free-form terms the spray, which
-        is lit past the glass, is left out.
+        The same, mean over the cells of ``mirror``, ``sprayed`` and ``glass``. Of a spray that was left out, and of a
+        calibration with free-form terms, the spray's is that of the rig's numbers alone.
     stage_offsets_mm : tuple of float
         What to add to the stage's reading of each view.
     flexible : bool
         Whether the free-form terms (bow of the glass, correction of the phase) were asked for by the residuals.
+    along_y : bool
+        Whether the model holds for phases along y: they were given, and are described without free-form terms.
     undetermined : tuple of str
         What these data cannot determine, in plain words; weak assumptions hold it.
     residuals : tuple of ResidualMap
@@ -144,6 +143,7 @@ class RigCalibration:
     chi2_by_region: dict[str, float]
     stage_offsets_mm: tuple[float, ...]
     flexible: bool
+    along_y: bool
     undetermined: tuple[str, ...]
     residuals: tuple[ResidualMap, ...]
     variations: tuple[RigModel, ...]

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from irpmd_rig.core.block_sums import block_sums
 from irpmd_rig.core.calibration.rig_calibration import REGIONS, RigView
 
 Array = NDArray[np.float64]
@@ -90,25 +92,31 @@ def _region_cells(
     phase_rad: NDArray[np.floating], sigma_rad: float | NDArray[np.floating], mask: NDArray[np.bool_], side: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array, Array] | None:
     """Rows, columns, pixels, phases and sigmas of the cells of one region; None if it is too small."""
-    known = mask & np.isfinite(phase_rad)
+    if np.count_nonzero(mask) < _FEWEST_PIXELS:
+        return None
+    # Where a region is narrower than a cell too little of it is seen to tell its bend.
+    wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8), borderValue=0)
+    known = (wide > 0) & np.isfinite(phase_rad)
     if np.count_nonzero(known) < _FEWEST_PIXELS:
         return None
     window = _cell_window(known, side)
     known, phase = known[window], phase_rad[window]
     height, width = known.shape
     axes = np.linspace(-1, 1, height), np.linspace(-1, 1, width)
-    coefficients, limit = _smooth(phase, known, axes)
+    # Across a narrow region a high degree would go wild between the pixels: what counts is how wide it is on average.
+    degrees = tuple(min(_DEGREE, 1 + np.count_nonzero(known) // across // side) for across in (width, height))
+    coefficients, limit = _smooth(phase, known, axes, degrees)
     basis_v, basis_u = (chebyshev.chebvander(axis, _DEGREE) for axis in axes)
     with np.errstate(invalid="ignore"):
         residual = phase - basis_v @ coefficients @ basis_u.T
         use = known & (np.abs(residual) <= limit)
-    count = _cell_sums(use.astype(np.float64), side)
+    count = block_sums(use.astype(np.float64), side)
     rows, columns = np.nonzero(count >= _LEAST_FILLED * side**2)
     if rows.size == 0:
         return None
 
     def mean(values: Array) -> Array:
-        return np.asarray((_cell_sums(np.where(use, values, 0.0), side) / np.maximum(count, 1))[rows, columns])
+        return np.asarray((block_sums(np.where(use, values, 0.0), side) / np.maximum(count, 1))[rows, columns])
 
     v, u = mean(axes[0][:, None]), mean(axes[1][None, :])
     # The mean of the residual belongs to the mean pixel: what is bent of it over a cell is far below its noise.
@@ -132,14 +140,14 @@ def _cell_window(known: NDArray[np.bool_], side: int) -> tuple[slice, slice]:
 
 
 def _smooth(
-    phase_rad: NDArray[np.floating], known: NDArray[np.bool_], axes: tuple[Array, Array]
+    phase_rad: NDArray[np.floating], known: NDArray[np.bool_], axes: tuple[Array, Array], degrees: tuple[int, ...]
 ) -> tuple[Array, float]:
-    """Chebyshev surface of total degree 8 through the known pixels, and the residual beyond which one is an outlier."""
+    """Chebyshev surface of total degree 8 or less through the known pixels, and the residual that makes an outlier."""
     step = max(1, int(np.sqrt(np.count_nonzero(known) / _FIT_PIXELS)))
     rows, columns = np.nonzero(known[::step, ::step])
     values = phase_rad[::step, ::step][rows, columns].astype(np.float64)
     basis_v, basis_u = (chebyshev.chebvander(axis[::step], _DEGREE) for axis in axes)
-    pairs = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    pairs = [(i, j) for i in range(degrees[0] + 1) for j in range(min(degrees[1], _DEGREE - i) + 1)]
     design = np.stack([basis_v[rows, i] * basis_u[columns, j] for i, j in pairs], axis=1)
     keep = np.ones(len(values), dtype=np.bool_)
     for _ in range(_ROUNDS):
@@ -153,8 +161,3 @@ def _smooth(
     for (i, j), value in zip(pairs, solution, strict=True):
         coefficients[i, j] = value
     return coefficients, limit
-
-
-def _cell_sums(values: Array, side: int) -> Array:
-    height, width = (size // side for size in values.shape)
-    return np.asarray(values.reshape(height, side, width, side).sum(axis=(1, 3)))

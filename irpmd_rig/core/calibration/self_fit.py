@@ -126,6 +126,15 @@ def fit_unknowns(cells: Cells, stage_mm: Array, unknowns: Unknowns, values: Arra
     return Fit(values, data_root, prior, residual, weight, settled)
 
 
+def weighted_squares(cells: Cells, stage_mm: Array, unknowns: Unknowns, values: Array) -> Array:
+    """Squares of the residuals, (n,), in units of each cell's variance, outliers weighted down as in a fit.
+
+    Parameters as for `fit_unknowns`.
+    """
+    residual = _residual(cells, stage_mm, unknowns, values)
+    return np.asarray(_huber(residual)[0] * residual**2)
+
+
 def _condensed(system: Array, right: Array) -> tuple[Array, Array]:
     """Least-squares system (P, P) with the solution of a tall one."""
     orthogonal, triangle = np.linalg.qr(system)

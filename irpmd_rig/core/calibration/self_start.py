@@ -40,7 +40,8 @@ def first_guess(
     -------
     RigModel
         Stage along the normal, glass as in the geometry, and the projector that a direct linear transformation
-        gives: a phase is a ratio of two linear forms of the lit point.
+        gives: a phase is a ratio of two linear forms of the lit point. Its principal point is put on the picture's
+        middle column: a transformation that knows no lens blames the lens's distortion on it.
 
     Raises
     ------
@@ -106,18 +107,27 @@ def _projector(forms: list[_Ratio | None], points_mm: Array, nominal: NominalPro
     row = np.cross(view, column)
     if upright is not None and upright.numerator[:3] @ row < 0:
         row = -row  # a mirrored picture
-    axes = np.stack([column, row, view])
-    # Fringes along x leave the place along the rows open: opposite the middle of what is lit.
-    along = row @ points_mm.mean(axis=0)
+    # Fringes along x leave open where the projector is along its rows (opposite the middle of what is lit), and what
+    # its rows are.
+    along, rows, centre_y = row @ points_mm.mean(axis=0), focal, (nominal.size_px[1] - 1) / 2
     if upright is not None:
-        slope = upright.numerator[:3] @ row
-        shift = float(upright.numerator[:3] @ view)
-        along = -(upright.numerator[3] - shift * upright.denominator[3]) / slope
-    start = np.array([-(across.numerator[3] - principal * across.denominator[3]) / focal, along, -view_offset(across)])
-    centre_y = (nominal.size_px[1] - 1) / 2 if upright is None else shift
-    return Projector(nominal.size_px, axes, axes.T @ start, (focal, focal), (principal, centre_y))
+        rows = float(upright.numerator[:3] @ row)
+        centre_y = float(upright.numerator[:3] @ view)
+        along = -(upright.numerator[3] - centre_y * upright.denominator[3]) / rows
+    aside = -(across.numerator[3] - principal * across.denominator[3]) / focal
+    start = np.array([aside, along, -across.denominator[3]])
+    middle = (nominal.size_px[0] - 1) / 2
+    centre = np.stack([column, row, view]).T @ start
+    return Projector(
+        nominal.size_px,
+        _turned(column, row, view, (middle - principal) / focal),
+        centre,
+        (focal, rows),
+        (middle, centre_y),
+    )
 
 
-def view_offset(form: _Ratio) -> float:
-    """Constant of the distance along the view."""
-    return float(form.denominator[3])
+def _turned(column: Array, row: Array, view: Array, slope: float) -> Array:
+    """Axes that look along what lay by this slope beside the view."""
+    cosine, sine = np.array([1.0, slope]) / np.hypot(1.0, slope)
+    return np.stack([cosine * column - sine * view, row, cosine * view + sine * column])

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.calibration.rig_calibration import NominalProjector
 from irpmd_rig.core.calibration.self_freeform import Freeform
 from irpmd_rig.core.calibration.self_prior import INTRINSICS
 from irpmd_rig.core.camera import Intrinsics
@@ -42,6 +41,7 @@ class Unknown:
 
 _ALONG_ROWS = "the projector's place along its own rows (across the fringes' gradient): fringes along y would tell"
 _ROWS_CENTRE = "the row of the projector's principal point: fringes along y would tell"
+_ASPECT = "the height of the projector's pixels over their width: fringes along y would tell"
 _LENS = "the projector lens's {}: it bends too little of the picture to be seen here"
 
 RIG = (
@@ -62,6 +62,7 @@ RIG = (
     Unknown("projector.aside", "mm", 200.0, _ALONG_ROWS),
     Unknown("projector.magnification", "px/mm", 0.5, "the pitch of the fringes"),
     Unknown("projector.focal", "px", 1000.0, "the projector's focal length and with it its distance"),
+    Unknown("projector.aspect", "1", 0.2, _ASPECT),
     Unknown("projector.cx", "px", 150.0, "the column of the projector's principal point"),
     Unknown("projector.cy", "px", 300.0, _ROWS_CENTRE),
     Unknown("projector.k1", "1", 1.0, _LENS.format("k1")),
@@ -71,10 +72,10 @@ RIG = (
 )
 PLACES = {unknown.name: place for place, unknown in enumerate(RIG)}
 STOOD_FOR = tuple(
-    f"projector.{name}" for name in ("turn_x", "turn_y", "aside", "focal", "cx", "cy", "k1", "k2", "p1", "p2")
+    f"projector.{name}" for name in ("turn_x", "turn_y", "aside", "focal", "aspect", "cx", "cy", "k1", "k2", "p1", "p2")
 )
 _HELD = 1e-4  # of the weak sigmas
-_FOCAL_SHARE = 0.2  # a data sheet's focal length is that near
+_FOCAL_SHARE = 0.3  # the first guess is twice as near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +134,9 @@ class Unknowns:
 
     def model(self, values: Array) -> RigModel:
         """The rig that these values describe."""
-        column, aside, magnification, focal, cx, cy, k1, k2, p1, p2 = values[_from("projector.aim_column", 10)].tolist()
+        aimed_at, lens = values[_from("projector.aim_column", 3)], values[_from("projector.focal", 8)]
+        column, aside, magnification = aimed_at.tolist()
+        focal, aspect, cx, cy, k1, k2, p1, p2 = lens.tolist()
         axes = self.attitude @ _rotation(values[_from("projector.turn_x", 3)]).T
         across, ahead = (column - cx) / magnification, focal / magnification
         along = axes @ self.attitude[1]
@@ -144,7 +147,7 @@ class Unknowns:
             self.origin.projector.size_px,
             axes,
             self.aim_mm - aimed @ axes,
-            (focal, focal),
+            (focal, aspect * focal),
             (cx, cy),
             (k1, k2, p1, p2, 0.0),
         )
@@ -168,28 +171,31 @@ class Unknowns:
         """
         bounds = freeform.sigmas
         size = len(self)
+        held = self.holding(STOOD_FOR, values)
         root = np.zeros((size + len(bounds), size + len(bounds)))
-        root[:size, :size] = self.prior_root
-        for name in STOOD_FOR:
-            root[PLACES[name], PLACES[name]] /= _HELD
+        root[:size, :size] = held.prior_root
         root[size:, size:] = np.diag(1 / bounds)
-        start = self.start.copy()
-        held = [PLACES[name] for name in STOOD_FOR]
-        start[held] = values[held]
         return replace(
             self,
-            start=np.concatenate([start, np.zeros(len(bounds))]),
+            start=np.concatenate([held.start, np.zeros(len(bounds))]),
             prior_root=root,
             names=self.names + freeform.names,
             units=self.units + freeform.units,
             freeform=freeform,
         )
 
+    def holding(self, names: tuple[str, ...], values: Array) -> Unknowns:
+        """The same numbers, some of the rig's (none of the camera's lens) held where they are in `values`."""
+        root, start = self.prior_root.copy(), self.start.copy()
+        for name in names:
+            root[PLACES[name], PLACES[name]] /= _HELD
+            start[PLACES[name]] = values[PLACES[name]]
+        return replace(self, start=start, prior_root=root)
+
 
 def unknowns_about(
     guess: RigModel,
     aim_mm: Array,
-    nominal: NominalProjector,
     intrinsics_covariance: Array,
     stage_sigmas_mm: Array,
 ) -> Unknowns:
@@ -201,8 +207,6 @@ def unknowns_about(
         Where to begin.
     aim_mm : ndarray, (3,)
         Middle of what is lit of the glass.
-    nominal : NominalProjector
-        The projector's data sheet.
     intrinsics_covariance : ndarray, (8, 8)
         Of the camera calibration.
     stage_sigmas_mm : ndarray, (views,)
@@ -224,12 +228,14 @@ def unknowns_about(
             guess.stage_axis[:2] / np.linalg.norm(guess.stage_axis),
             turn,
             [column, attitude[1] @ (aim_mm - projector.centre_mm), magnification],
-            [projector.focal_px[0], *projector.principal_point_px, *projector.distortion[:4]],
+            [projector.focal_px[0], projector.focal_px[1] / projector.focal_px[0]],
+            [*projector.principal_point_px, *projector.distortion[:4]],
             np.zeros(views),
         ]
     )
     sigmas = np.concatenate([[unknown.weak_sigma for unknown in RIG], stage_sigmas_mm])
-    sigmas[PLACES["projector.focal"]] = _FOCAL_SHARE * nominal.focal_px
+    sigmas[PLACES["projector.focal"]] = _FOCAL_SHARE * projector.focal_px[0]
+    sigmas[PLACES["projector.aspect"]] *= projector.focal_px[1] / projector.focal_px[0]
     root = np.diag(1 / sigmas)
     root[:INTRINSICS, :INTRINSICS] = np.linalg.cholesky(np.linalg.inv(intrinsics_covariance)).T
     names = tuple(unknown.name for unknown in RIG) + tuple(f"stage.offset_{k + 1}" for k in range(views))

@@ -7,8 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from irpmd_rig.core.evaluation.steps import Influence
 from irpmd_rig.core.frame import ReferenceFrame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Influence:
+    """One uncertain quantity on which every height depends.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    kind : str
+        "calibration" (known with a standard deviation) or "alignment" (assumed to be zero, within a tolerance).
+    change_mm : ndarray, (H, W)
+        Change of each pixel's height when the quantity moves by one standard deviation or tolerance.
+    """
+
+    name: str
+    kind: str
+    change_mm: NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True)

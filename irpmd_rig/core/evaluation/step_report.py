@@ -21,8 +21,6 @@ SURFACE_STEP = (
 )
 # The gap is looked for on a strip of this fraction of the distance between the centres to either side of their line.
 _STRIP = 0.1
-# Pixels that show how a mean height varies.
-_FEW = 1500
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +41,6 @@ class StepReport:
     means_mm : ndarray, (k,)
         Difference of the mean heights of the two facets' pixels: needs no continuation, but belongs to these
         pixels only.
-    means_covariance_mm2 : ndarray, (k, k)
-        Of `means_mm`, all parts together.
     definition : str
         What a step is.
     """
@@ -55,7 +51,6 @@ class StepReport:
     random_covariance_mm2: Array
     calibration_covariance_mm2: Array
     means_mm: Array
-    means_covariance_mm2: Array
     definition: str = SURFACE_STEP
 
     @property
@@ -110,10 +105,6 @@ def steps_of(estimate: SurfaceEstimate) -> StepReport:
             for (lo, u), at in zip(pairs, places, strict=True)
         ]
     )
-    few = [facet.pixels[:: -(-len(facet.pixels) // _FEW)] for facet in facets]
-    moved = [facet.surface.displaced_means_mm(some) for facet, some in zip(facets, few, strict=True)]
-    means = [facet.surface.mean_gradient(some) for facet, some in zip(facets, few, strict=True)]
-    shared = _differences(list(pairwise(moved)))
     return StepReport(
         names=tuple(f"{lower.facet}-{upper.facet}" for lower, upper in pairs),
         values_mm=np.array(values),
@@ -124,7 +115,6 @@ def steps_of(estimate: SurfaceEstimate) -> StepReport:
         ),
         calibration_covariance_mm2=calibration @ calibration.T,
         means_mm=np.array([upper.mean_height_mm - lower.mean_height_mm for lower, upper in pairs]),
-        means_covariance_mm2=_random(facets, list(pairwise(means))) + shared @ shared.T,
     )
 
 

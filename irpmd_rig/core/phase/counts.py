@@ -67,6 +67,11 @@ def checked_counts(counts: Sequence[float], sets: int) -> tuple[float, ...]:
     return tuple(float(count) for count in periods)
 
 
+def usual_unwrapping(counts: Sequence[float]) -> Unwrapping:
+    """How counts are meant: from coarse to fine where one set has no more than a period, else by beats."""
+    return "hierarchical" if min(counts) <= 1 else "optimum"
+
+
 def ladder(counts: tuple[float, ...], unwrapping: Unwrapping) -> Ladder:
     """Ladder of a set of counts; raises CountsError where the method cannot use them."""
     if not isinstance(unwrapping, str) or unwrapping not in ("optimum", "hierarchical"):

@@ -16,7 +16,7 @@ from irpmd_rig.core.phase.counts import RESIDUAL_MARGIN_TURNS, Ladder, checked_c
 from irpmd_rig.core.phase.frames import Frames, Values, checked_frames, chunk_count, chunks
 from irpmd_rig.core.phase.noise import estimate_noise, sample_cells
 from irpmd_rig.core.phase.response import CameraResponse
-from irpmd_rig.core.phase.results import AbsolutePhase, NoiseModel, WrappedPhases
+from irpmd_rig.core.phase.results import AbsolutePhase, NoiseModel, WrappedPhases, thinning
 from irpmd_rig.core.threads import over_rows
 
 _f = np.float32
@@ -107,6 +107,7 @@ def decode(
     return AbsolutePhase(
         phase_rad=maps.phase_rad.reshape(height, width),
         modulation_dn=maps.modulation.reshape(height, width),
+        mean_dn=_thin_mean(taken, rungs),
         valid=maps.valid.reshape(height, width),
         counts=periods,
         steps=steps,
@@ -212,6 +213,13 @@ def _noise(frames: Frames, rungs: Ladder) -> NoiseModel:
     raw = sample_cells(frames.values, frames.saturation_dn)
     cells = np.ascontiguousarray(frames.linear(raw), dtype=np.float32)
     return estimate_noise(cells, rungs, frames.least_variance_dn2)
+
+
+def _thin_mean(frames: Frames, rungs: Ladder) -> Floats:
+    """Mean of the finest set at few pixels: what the shot noise of all of them follows from."""
+    stride = thinning(*frames.values.shape[2:])
+    few = frames.linear(np.ascontiguousarray(frames.values[rungs.sets[-1], :, ::stride, ::stride]))
+    return np.asarray(few.mean(axis=0, dtype=np.float32))
 
 
 def _decode_in_place(flat: Values, settings: _Settings, maps: Maps, threads: int) -> float:

@@ -100,7 +100,7 @@ def _places(values: npt.NDArray[Any], saturation_dn: float) -> tuple[npt.NDArray
 
 
 def estimate_noise(cells: Floats, rungs: Ladder, least_variance: float) -> NoiseModel:
-    """Fit sigma_I^2 = floor + slope B to sampled cells.
+    """Fit sigma_I^2 = floor + slope A, A the mean over the steps, to sampled cells.
 
     Parameters
     ----------
@@ -114,48 +114,70 @@ def estimate_noise(cells: Floats, rungs: Ladder, least_variance: float) -> Noise
 
     Notes
     -----
-    Variances are taken in up to 8 groups of equal width in B, without what lies beyond 4 sigma (edges of the
+    Variances are taken in up to 8 groups of equal width in A, without what lies beyond 4 sigma (edges of the
     object). The slope is never negative, and zero unless it exceeds twice its own standard
-    error: with constant noise, or a single modulation, all of it is floor.
+    error: with constant noise, or a single mean, all of it is floor.
     """
-    leftover, modulation = _redundancy(cells, rungs)
+    leftover, mean, modulation = _redundancy(cells, rungs)
     if leftover.size == 0:
         return NoiseModel(least_variance, 0.0)
-    width = max(float(modulation.max()), 1e-30) / _GROUPS
-    group = np.minimum((modulation / width).astype(np.intp), _GROUPS - 1)
+    floor, slope = _transfer(leftover, np.maximum(mean, 0), least_variance)
+    return NoiseModel(floor, slope, *_light(mean, modulation))
+
+
+def _light(mean: Floats, modulation: Floats) -> tuple[float, float]:
+    """Line A = dark + light B through the cells; more fringes never come with less light."""
+    middle_a, middle_b = float(mean.mean()), float(modulation.mean())
+    spread = float(np.sum((modulation - middle_b) ** 2))
+    light = float(np.sum((modulation - middle_b) * (mean - middle_a))) / spread if spread > 0 else 0.0
+    light = max(light, 0.0)
+    dark = middle_a - light * middle_b
+    if dark >= 0:
+        return dark, light
+    return 0.0, max(middle_a, 0.0) / max(middle_b, 1e-30)
+
+
+def _transfer(leftover: Floats, light: Floats, least_variance: float) -> tuple[float, float]:
+    """Floor and slope of the variance over the light: the photon transfer of the camera."""
+    width = max(float(light.max()), 1e-30) / _GROUPS
+    group = np.minimum((light / width).astype(np.intp), _GROUPS - 1)
     number = np.bincount(group, minlength=_GROUPS)
     if number.max() < _FEWEST:
         group[:] = 0
         number = np.bincount(group, minlength=_GROUPS)
     variance = _robust_variances(leftover, group, least_variance)
-    strength = np.bincount(group, modulation, minlength=_GROUPS) / np.maximum(number, 1)
+    strength = np.bincount(group, light, minlength=_GROUPS) / np.maximum(number, 1)
     used = number >= min(_FEWEST, number.max())
     return _fit(strength[used], variance[used], number[used], least_variance)
 
 
-def _redundancy(cells: Floats, rungs: Ladder) -> tuple[Floats, Floats]:
-    """Return samples of noise (each of variance sigma_I^2) and the modulation that goes with each."""
+def _redundancy(cells: Floats, rungs: Ladder) -> tuple[Floats, Floats, Floats]:
+    """Return samples of noise (each of variance sigma_I^2), and the mean and modulation that go with each."""
     sets, steps = cells.shape[:2]
     angles = 2 * np.pi * np.arange(steps) / steps
     basis = np.stack([np.ones(steps), np.cos(angles), np.sin(angles)])
     flat = cells.reshape(sets, steps, -1)
     waves = (basis[1:].astype(np.float32) @ flat).reshape(sets, 2, *cells.shape[2:])
     modulation = np.sqrt(waves[:, 0] ** 2 + waves[:, 1] ** 2) * np.float32(2 / steps)
+    mean = (flat.sum(axis=1) / np.float32(steps)).reshape(sets, *cells.shape[2:])
     if steps == 3 and sets > 1:
         phase = np.arctan2(-waves[:, 1], waves[:, 0]).astype(np.float64) / (2 * np.pi)
         residual = _last_residual(phase, rungs) / rungs.amplifications[-1] * 2 * np.pi
         local = modulation.mean(axis=0)
         # sigma_phi = sqrt(2 / N) sigma_I / B, solved for sigma_I.
         noise = _mixed(residual * local * np.sqrt(steps / 2))
-        return noise.astype(np.float32).ravel(), local.mean(axis=-1).ravel()
+        return noise.astype(np.float32).ravel(), mean.mean(axis=(0, -1)), local.mean(axis=-1)
+    nothing = np.empty(0, np.float32)
     if steps == 3 and cells.shape[-1] == 1:
-        return np.empty(0, np.float32), np.empty(0, np.float32)
+        return nothing, nothing, nothing
     mixed = _mixed(cells)
     if steps > 3:
         null_space = np.linalg.svd(basis)[2][3:].astype(np.float32)
         mixed = null_space @ mixed
-    strength = np.broadcast_to(modulation.mean(axis=-1)[:, None], mixed.shape)
-    return mixed.ravel(), strength.ravel()
+    mean, modulation = (
+        np.broadcast_to(each.mean(axis=-1)[:, None], mixed.shape).ravel() for each in (mean, modulation)
+    )
+    return mixed.ravel(), mean, modulation
 
 
 def _mixed(cells: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -197,7 +219,7 @@ def _fit(
     variance: npt.NDArray[np.float64],
     number: npt.NDArray[np.intp],
     least: float,
-) -> NoiseModel:
+) -> tuple[float, float]:
     weight = number / variance**2 / 2
     total = weight.sum()
     centre = (weight * strength).sum() / total
@@ -208,7 +230,7 @@ def _fit(
         if slope > 2 / np.sqrt(spread):
             floor = mean - slope * float(centre)
             if floor >= least:
-                return NoiseModel(floor, slope)
+                return floor, slope
             through = (weight * strength * (variance - least)).sum() / (weight * strength**2).sum()
-            return NoiseModel(least, max(float(through), 0.0))
-    return NoiseModel(max(mean, least), 0.0)
+            return least, max(float(through), 0.0)
+    return max(mean, least), 0.0

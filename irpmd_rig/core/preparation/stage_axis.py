@@ -54,8 +54,6 @@ class StageAxis:
         By the stage's own scale.
     displacements_mm : ndarray, (n, 3)
         Of frame M, from the position nearest to 0; by the calibrated geometry's scale.
-    sigma_displacements_mm : ndarray, (n, 3)
-        One sigma of these; zero of that position itself.
     axis : ndarray, (3,)
         Unit vector; (0, 0, -1) is along the mirror's normal, away from the glass.
     sigma_rad : tuple of float
@@ -70,7 +68,6 @@ class StageAxis:
 
     positions_mm: tuple[float, ...]
     displacements_mm: Floats
-    sigma_displacements_mm: Floats
     axis: Floats
     sigma_rad: tuple[float, float]
     scale: float
@@ -87,7 +84,10 @@ class StageAxis:
 
 
 def fit_stage_axis(
-    views: Sequence[StageView], camera_mm: NDArray[np.floating], glass: tuple[float, float, float]
+    views: Sequence[StageView],
+    camera_mm: NDArray[np.floating],
+    glass: tuple[float, float, float],
+    glass_at_mm: float = 0.0,
 ) -> StageAxis:
     """Find how frame M moves, from phases that belong to points of the glass, which stands still.
 
@@ -98,7 +98,9 @@ def fit_stage_axis(
     camera_mm : ndarray, (3,)
         The camera's centre in frame M, whose plane z = 0 is the mirror.
     glass : tuple of float
-        a, b, c of the glass, z = a x + b y + c in frame M at the position nearest to 0: where the search begins.
+        a, b, c of the glass, z = a x + b y + c in frame M: where the search begins.
+    glass_at_mm : float
+        Position at which it was there.
 
     Returns
     -------
@@ -127,7 +129,10 @@ def fit_stage_axis(
                 "check light and placement, or choose a position at which more of it is seen"
             )
     problem = _Problem.of(ordered, np.asarray(camera_mm, dtype=np.float64))
-    start = np.concatenate([glass, *((0.0, 0.0, -(view.stage1_mm - ordered[0].stage1_mm)) for view in ordered[1:])])
+    a, b, c = glass
+    # The glass is the farther in M the farther M is from it.
+    begin = a, b, c + ordered[0].stage1_mm - glass_at_mm
+    start = np.concatenate([begin, *((0.0, 0.0, -(view.stage1_mm - ordered[0].stage1_mm)) for view in ordered[1:])])
     steps = np.concatenate([(1e-3, 1e-3, 1.0), np.ones(3 * (len(ordered) - 1))])
     for _ in range(_ROUNDS):
         found = least_squares(problem.residual, start, x_scale=steps, method="trf")
@@ -214,7 +219,6 @@ def _axis(views: Sequence[StageView], found: Floats, covariance: Floats, rms_rad
     return StageAxis(
         positions_mm=tuple(float(value) for value in s),
         displacements_mm=moves,
-        sigma_displacements_mm=np.vstack([np.zeros(3), np.sqrt(np.diag(covariance)[3:]).reshape(-1, 3)]),
         axis=axis,
         sigma_rad=(float(spread[0]), float(spread[1])),
         scale=scale,

@@ -1,7 +1,9 @@
 """The compiled kernel of the triangulation: loops over blocks of pixels that LLVM turns into vectors.
 
-The rules are those of `irpmd_rig.core.phase._kernels`; one file again because of Numba's cache. All arithmetic has the
-type of the phases: every constant comes in as a value of that type, since a literal would be float64.
+The rules are those of `irpmd_rig.core.phase._kernels`; one file again because of Numba's cache. What a block's loops
+hand on lies in one array, at offsets that are constants: of many arrays LLVM would have to know that none overlaps
+another, and gives up. All arithmetic has the type of the phases: every constant comes in as a value of that type,
+since a literal would be float64.
 
 At each stage position k the phase puts the lit point of the glass on a line across, x'_k(y_k), and the glass gives its
 z_k. The points of all positions lie on the ray that leaves the surface, so x'_k = c + T z_k, and the viewing ray is
@@ -15,79 +17,34 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from irpmd_rig.core._kernel_notice import announce_compilation
 from irpmd_rig.core.phase._wide_vectors import wide_vectors
+from irpmd_rig.core.reconstruction._kernel_parts import (
+    BLOCK,
+    KERNEL,
+    PITCH,
+    SIMD,
+    Pixels,
+    Results,
+    Rig,
+    Smooth,
+    Table,
+    Values,
+    lit,
+    polynomial,
+    surface_slope,
+    terms,
+)
 
-Values = NDArray[Any]
-
-BLOCK = 512
-"""Pixels of a block: its sums stay in the first-level cache."""
-
-_SIMD = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
-_KERNEL = {"cache": True, "error_model": "numpy", "nogil": True}
 _u = np.uintp
-
-
-class Table(NamedTuple):
-    """`irpmd_rig.core.reconstruction.glass_map.GlassMap`, scaled for the kernel; scalars and arrays of one type."""
-
-    along: Any
-    per_rad: Any
-    across: Any
-    per_mm: Any
-    shear: Any
-    place: Values
-    lift: Values
-    precision: Any
-    """1 / mm_per_rad^2: weight of a measured place."""
-
-
-class Smooth(NamedTuple):
-    """`irpmd_rig.core.rig_model.Correction` as powers c[i, j] x^i y^j; beyond -1..1 the edge's value holds."""
-
-    x: Any
-    per_x_mm: Any
-    y: Any
-    per_y_mm: Any
-    coefficients: Values
-
-
-class Rig(NamedTuple):
-    """What is the same for all pixels."""
-
-    one: Any
-    nan: Any
-    camera_x: Any
-    camera_y: Any
-    camera_z: Any
-    glass_a: Any
-    glass_b: Any
-    glass_c: Any
-    middle: Any
-    """Height from which the glass's heights are counted."""
-    least_turn: Any
-    """Least square of the angle between the viewing and the incident ray, over that of a radian on the glass."""
-    least_spread: Any
-    """Least variance of the glass's heights over the views, mm^2."""
-    shifts: Values
-    """(K, 3): how far each view's points are moved to stand still."""
-    bow: Smooth
-    correction: Smooth
-
-
-class Pixels(NamedTuple):
-    """What is given of every pixel, flat; (views, pixels) or (pixels,)."""
-
-    phases: Values
-    phases_y: Values
-    sigmas: Values
-    rays_x: Values
-    rays_y: Values
-    """dx/dz and dy/dz of the viewing rays."""
-    slopes: Values
-    """Assumed dz/dy of the surface."""
+_SLOTS = 20
+# Where the quantities of a block lie: the sums of the line fit ...
+_S0, _SZ, _SZZ, _SX, _SXZ, _SY, _SYZ, _LOW = (_u(PITCH * k) for k in range(8))
+# ... the point found and the ray that leaves it ...
+_DEPTH, _TURNED, _UX, _UY, _SLOPE = (_u(PITCH * k) for k in range(8, 13))
+# ... and of one view: the lit point, its place in the table and what comes out of it, and what the glass adds.
+_X, _Y, _PHASE, _U, _V, _PLACE, _BOW = (_u(PITCH * k) for k in range(13, 20))
 
 
 class Ways(NamedTuple):
@@ -95,334 +52,336 @@ class Ways(NamedTuple):
 
     across: bool
     """The rows' phases are given too."""
-    sloped: bool
-    """A slope across is given."""
+    bowed: bool
+    """The glass is no plane."""
     corrected: bool
-    """The glass has a bow or a correction."""
+    """The phase over the glass is not the projector's alone."""
     rounds: int
 
 
-class Results(NamedTuple):
-    """Flat results; the slopes may be empty."""
-
-    depth: Values
-    sigma: Values
-    slope_x: Values
-    slope_y: Values
-
-
-@njit(**_SIMD)
-def _powers(c: Values, u: Any, v: Any, one: Any) -> Any:
-    """Polynomial sum c[j, i] v^j u^i of any degree."""
-    rows, columns = c.shape
-    total = one - one
-    for j in range(rows - 1, -1, -1):
-        row = one - one
-        for i in range(columns - 1, -1, -1):
-            row = row * u + c[j, i]
-        total = total * v + row
-    return total
-
-
-@njit(**_SIMD)
-def _polynomials(c: Values, u: Values, v: Values, place: Values, n: int) -> None:
-    """Polynomial of degree 7: written out, since LLVM vectorises it only with the coefficients in registers."""
+@njit(**SIMD)
+def _horner(s: Values, c: Any, n: int) -> None:
     wide_vectors()
-    c00, c01, c02, c03, c04, c05, c06, c07 = c[0, 0], c[0, 1], c[0, 2], c[0, 3], c[0, 4], c[0, 5], c[0, 6], c[0, 7]
-    c10, c11, c12, c13, c14, c15, c16 = c[1, 0], c[1, 1], c[1, 2], c[1, 3], c[1, 4], c[1, 5], c[1, 6]
-    c20, c21, c22, c23, c24, c25 = c[2, 0], c[2, 1], c[2, 2], c[2, 3], c[2, 4], c[2, 5]
-    c30, c31, c32, c33, c34 = c[3, 0], c[3, 1], c[3, 2], c[3, 3], c[3, 4]
-    c40, c41, c42, c43 = c[4, 0], c[4, 1], c[4, 2], c[4, 3]
-    c50, c51, c52 = c[5, 0], c[5, 1], c[5, 2]
-    c60, c61 = c[6, 0], c[6, 1]
-    c70 = c[7, 0]
     for i in range(_u(n)):
-        s, t = u[i], v[i]
-        total = c70
-        total = total * t + (c61 * s + c60)
-        total = total * t + ((c52 * s + c51) * s + c50)
-        total = total * t + (((c43 * s + c42) * s + c41) * s + c40)
-        total = total * t + ((((c34 * s + c33) * s + c32) * s + c31) * s + c30)
-        total = total * t + (((((c25 * s + c24) * s + c23) * s + c22) * s + c21) * s + c20)
-        total = total * t + ((((((c16 * s + c15) * s + c14) * s + c13) * s + c12) * s + c11) * s + c10)
-        total = total * t + (((((((c07 * s + c06) * s + c05) * s + c04) * s + c03) * s + c02) * s + c01) * s + c00)
-        place[i] = total
+        s[_PHASE + i] = s[_PHASE + i] * s[_V + i] + c
 
 
-@njit(**_SIMD)
-def _lines(c: Values, u: Values, place: Values, n: int) -> None:
-    """What is linear in the phase alone: enough for a first guess."""
+@njit(**SIMD)
+def _smooth(smooth: Smooth, s: Values, one: Any, n: int) -> None:
+    """A correction of the glass at X and Y, of any degree: into PLACE."""
     wide_vectors()
-    offset, rate = c[0, 0], c[0, 1]
+    zero = one - one
     for i in range(_u(n)):
-        place[i] = offset + rate * u[i]
+        s[_U + i] = min(max((s[_X + i] - smooth.x) * smooth.per_x_mm, -one), one)
+        s[_V + i] = min(max((s[_Y + i] - smooth.y) * smooth.per_y_mm, -one), one)
+        s[_PLACE + i] = zero
+    c = smooth.coefficients
+    for row in range(c.shape[0] - 1, -1, -1):
+        for i in range(_u(n)):
+            s[_PHASE + i] = zero
+        for column in range(c.shape[1] - 1, -1, -1):
+            _horner(s, c[row, column], n)
+        for i in range(_u(n)):
+            s[_PLACE + i] = s[_PLACE + i] * s[_U + i] + s[_PHASE + i]
 
 
-@njit(**_SIMD)
-def _smooth(s: Smooth, x: Any, y: Any, one: Any) -> Any:
-    u = min(max((x - s.x) * s.per_x_mm, -one), one)
-    v = min(max((y - s.y) * s.per_y_mm, -one), one)
-    return _powers(s.coefficients, v, u, one)
-
-
-@njit(**_SIMD)
+@njit(**SIMD)
 def _weigh(phase: Values, phase_y: Values, sigma: Values, weight: Values, one: Any, first: int, n: int) -> None:
     """Weight of a view's phases: 0 where one is unknown."""
     wide_vectors()
     zero = one - one
     for i in range(_u(n)):
-        s = sigma[first + i]
+        deviation = sigma[first + i]
         total = phase[first + i] + phase_y[first + i]
-        known = (total - total == zero) & (s > zero)
-        weight[i] = one / (s * s) if known else zero
+        known = (total - total == zero) & (deviation > zero)
+        weight[i] = one / (deviation * deviation) if known else zero
 
 
-@njit(**_SIMD)
-def _start(rays_y: Values, one: Any, first: int, sums: Values, n: int) -> None:
-    """A level mirror at height zero."""
+@njit(**SIMD)
+def _start(pixels: Pixels, one: Any, s: Values, first: int, n: int) -> None:
+    """The ray that a mirror at height zero reflects."""
     wide_vectors()
-    depth, leave_x, leave_y = sums[7], sums[9], sums[10]
     zero = one - one
     for i in range(_u(n)):
-        depth[i] = zero
-        leave_x[i] = zero
-        leave_y[i] = -rays_y[first + i]
+        s[_SLOPE + i] = zero
+        s[_DEPTH + i] = zero
+        s[_BOW + i] = zero
+        s[_UX + i] = -pixels.rays_x[first + i]
+        s[_UY + i] = -pixels.rays_y[first + i]
+    if pixels.slopes.size:
+        for i in range(_u(n)):
+            slope = pixels.slopes[first + i]
+            s[_SLOPE + i] = slope
+            s[_UY + i] -= slope + slope
 
 
-@njit(**_SIMD)
-def _look_up(
-    phase: Values, weight: Values, rays_x: Values, rays_y: Values, shift: Values, table: Table, rig: Rig,
-    sums: Values, first: int, n: int,
-) -> None:  # fmt: skip
-    """What a view's place on the glass depends on: its phase, and the place across by the ray that leaves."""
+@njit(**SIMD)
+def _clear(s: Values, one: Any, n: int) -> None:
     wide_vectors()
-    depth, leave_x, leave_y, u, v = sums[7], sums[9], sums[10], sums[13], sums[14]
-    zero = rig.one - rig.one
-    shift_x, shift_y, shift_z = shift[0], shift[1], shift[2]
+    zero = one - one
     for i in range(_u(n)):
-        h, ux, uy = depth[i], leave_x[i], leave_y[i]
-        x = rig.camera_x + (h - rig.camera_z) * rays_x[first + i] - ux * h + shift_x
-        y = rig.camera_y + (h - rig.camera_z) * rays_y[first + i] - uy * h + shift_y
-        e = rig.glass_a * ux + rig.glass_b * uy
-        # 1 / (1 - e), e being the glass's tilt: far more than what the place across needs.
-        z = (rig.glass_a * x + rig.glass_b * y + rig.glass_c - shift_z) * (rig.one + e + e * e)
-        v[i] = (y + uy * z - table.across) * table.per_mm
-        u[i] = (phase[first + i] - table.along) * table.per_rad if weight[i] > zero else zero
+        s[_S0 + i] = zero
+        s[_SZ + i] = zero
+        s[_SZZ + i] = zero
+        s[_SX + i] = zero
+        s[_SXZ + i] = zero
+        s[_SY + i] = zero
+        s[_SYZ + i] = zero
+        s[_LOW + i] = one / zero
 
 
-@njit(**_SIMD)
-def _add_view(
-    weight: Values, rays_x: Values, rays_y: Values, shift: Values, table: Table, rig: Rig, sums: Values, first: int,
-    n: int,
-) -> None:  # fmt: skip
-    """Add a view's point on the glass to the sums of the line fit."""
+@njit(forceinline=True, **SIMD)
+def _sum_up(s: Values, i: Any, w: Any, across: Any, z: Any, middle: Any, zero: Any) -> None:
+    """Add a point to the sums of the line fit."""
+    up = z - middle
+    s[_S0 + i] += w
+    s[_SZ + i] += w * up
+    s[_SZZ + i] += w * up * up
+    s[_SX + i] += w * across
+    s[_SXZ + i] += w * up * across
+    s[_LOW + i] = min(s[_LOW + i], z) if w > zero else s[_LOW + i]
+
+
+@njit(**SIMD)
+def _light(pixels: Pixels, shift: Any, rig: Rig, s: Values, first: int, n: int) -> None:
     wide_vectors()
-    s0, sz, szz, sx, sxz, low, v, place = sums[0], sums[1], sums[2], sums[3], sums[4], sums[6], sums[14], sums[15]
+    for i in range(_u(n)):
+        seen = pixels.rays_x[first + i], pixels.rays_y[first + i]
+        s[_X + i], s[_Y + i] = lit(rig, shift, s[_DEPTH + i], (s[_UX + i], s[_UY + i]), seen)
+
+
+@njit(**SIMD)
+def _bow(rig: Rig, s: Values, n: int) -> None:
+    """Move the lit point to the bowed glass."""
+    wide_vectors()
+    _smooth(rig.bow, s, rig.one, n)
+    for i in range(_u(n)):
+        bow = s[_PLACE + i]
+        s[_BOW + i] = bow
+        s[_X + i] += s[_UX + i] * bow
+        s[_Y + i] += s[_UY + i] * bow
+
+
+@njit(**SIMD)
+def _show(phase: Values, s: Values, first: int, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_PHASE + i] = phase[first + i]
+
+
+@njit(**SIMD)
+def _show_corrected(phase: Values, rig: Rig, s: Values, first: int, n: int) -> None:
+    """The phase that the projector's model alone would give."""
+    wide_vectors()
+    _smooth(rig.correction, s, rig.one, n)
+    for i in range(_u(n)):
+        s[_PHASE + i] = phase[first + i] - s[_PLACE + i]
+
+
+@njit(**SIMD)
+def _across_is_x(table: Table, s: Values, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_V + i] = (s[_X + i] - table.across) * table.per_mm
+
+
+@njit(**SIMD)
+def _across_is_y(table: Table, s: Values, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_V + i] = (s[_Y + i] - table.across) * table.per_mm
+
+
+@njit(**SIMD)
+def _look_up(weight: Values, table: Table, bowed: bool, s: Values, zero: Any, n: int) -> None:
+    """Place of a phase on the glass, less the shear, at V."""
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_U + i] = (s[_PHASE + i] - table.along) * table.per_rad if weight[i] > zero else zero
+    if bowed:
+        _bowed_place(terms(table.place), terms(table.lift), s, n)
+    else:
+        _plane_place(terms(table.place), s, n)
+
+
+@njit(**SIMD)
+def _plane_place(place: Any, s: Values, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_PLACE + i] = polynomial(place, s[_U + i], s[_V + i])
+
+
+@njit(**SIMD)
+def _bowed_place(place: Any, lift: Any, s: Values, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_PLACE + i] = polynomial(place, s[_U + i], s[_V + i]) + s[_BOW + i] * polynomial(lift, s[_U + i], s[_V + i])
+
+
+@njit(**SIMD)
+def _shear(table: Table, s: Values, n: int) -> None:
+    wide_vectors()
+    for i in range(_u(n)):
+        s[_Y + i] = s[_PLACE + i] + table.shear * s[_X + i]
+
+
+@njit(**SIMD)
+def _add(weight: Values, pixels: Pixels, shift: Any, table: Table, rig: Rig, s: Values, first: int, n: int) -> None:
+    """Add a view's point to the sums of the line fit."""
+    wide_vectors()
     zero = rig.one - rig.one
     moved = shift[0] - table.shear * shift[1] + rig.camera_x - table.shear * rig.camera_y
-    shift_z = shift[2]
-    width = rig.one / table.per_mm
     for i in range(_u(n)):
-        w = weight[i]
-        y = table.across + v[i] * width
-        z = rig.glass_a * (place[i] + table.shear * y) + rig.glass_b * y + rig.glass_c - shift_z
-        across = place[i] - moved + rig.camera_z * (rays_x[first + i] - table.shear * rays_y[first + i])
-        up = z - rig.middle
-        s0[i] += w
-        sz[i] += w * up
-        szz[i] += w * up * up
-        sx[i] += w * across
-        sxz[i] += w * up * across
-        low[i] = min(low[i], z) if w > zero else low[i]
+        place, y = s[_PLACE + i], s[_Y + i]
+        z = rig.glass_a * (place + table.shear * y) + rig.glass_b * y + rig.glass_c + s[_BOW + i] - shift[2]
+        across = place - moved + rig.camera_z * (pixels.rays_x[first + i] - table.shear * pixels.rays_y[first + i])
+        s[_V + i] = z - rig.middle
+        _sum_up(s, i, weight[i], across, z, rig.middle, zero)
 
 
-@njit(**_SIMD)
-def _add_corrected_view(
-    phase: Values, phase_y: Values, weight: Values, rays_x: Values, rays_y: Values, shift: Values, across_known: bool,
-    table: Table, table_y: Table, rig: Rig, sums: Values, first: int, n: int,
-) -> None:  # fmt: skip
-    """As `_add_view`, with the rows' phases, a bowed glass and a corrected phase."""
-    s0, sz, szz, sx, sxz, low = sums[0], sums[1], sums[2], sums[3], sums[4], sums[6]
-    depth, leave_x, leave_y, sy, syz = sums[7], sums[9], sums[10], sums[11], sums[12]
-    zero = rig.one - rig.one
-    shift_x, shift_y, shift_z = shift[0], shift[1], shift[2]
+@njit(**SIMD)
+def _add_across(weight: Values, pixels: Pixels, shift: Any, rig: Rig, s: Values, first: int, n: int) -> None:
+    """Add the coordinate across of the point that `_add` has added."""
+    wide_vectors()
+    moved = shift[1] + rig.camera_y
     for i in range(_u(n)):
-        w, h, ux, uy = weight[i], depth[i], leave_x[i], leave_y[i]
-        wx, wy = rays_x[first + i], rays_y[first + i]
-        x0 = rig.camera_x + (h - rig.camera_z) * wx - ux * h + shift_x
-        y0 = rig.camera_y + (h - rig.camera_z) * wy - uy * h + shift_y
-        e = rig.glass_a * ux + rig.glass_b * uy
-        z = (rig.glass_a * x0 + rig.glass_b * y0 + rig.glass_c - shift_z) * (rig.one + e + e * e)
-        x, y = x0 + ux * z, y0 + uy * z
-        if not w > zero:
-            continue
-        bow = _smooth(rig.bow, x, y, rig.one)
-        x, y = x + ux * bow, y + uy * bow
-        seen = phase[first + i] - _smooth(rig.correction, x, y, rig.one)
-        if across_known:
-            u = (phase_y[first + i] - table_y.along) * table_y.per_rad
-            v = (x - table_y.across) * table_y.per_mm
-            y = _powers(table_y.place, u, v, rig.one) + bow * _powers(table_y.lift, u, v, rig.one) + table_y.shear * x
-        u, v = (seen - table.along) * table.per_rad, (y - table.across) * table.per_mm
-        place = _powers(table.place, u, v, rig.one) + bow * _powers(table.lift, u, v, rig.one)
-        x = place + table.shear * y
-        z = rig.glass_a * x + rig.glass_b * y + rig.glass_c + bow - shift_z
-        base_y = rig.camera_y - rig.camera_z * wy
-        base = rig.camera_x - rig.camera_z * wx - table.shear * base_y
-        across = place - (shift_x - table.shear * shift_y) - base
-        up = z - rig.middle
-        s0[i] += w
-        sz[i] += w * up
-        szz[i] += w * up * up
-        sx[i] += w * across
-        sxz[i] += w * up * across
-        sy[i] += w * (y - shift_y - base_y)
-        syz[i] += w * up * (y - shift_y - base_y)
-        low[i] = min(low[i], z)
+        weighted = weight[i] * (s[_Y + i] - moved + rig.camera_z * pixels.rays_y[first + i])
+        s[_SY + i] += weighted
+        s[_SYZ + i] += s[_V + i] * weighted
 
 
-@njit(**_SIMD)
-def _meet(pixels: Pixels, slopes: Values, table: Table, rig: Rig, sums: Values, first: int, n: int) -> None:
+@njit(**SIMD)
+def _meet(pixels: Pixels, table: Table, rig: Rig, s: Values, first: int, n: int) -> None:
     """Depth from the sums, and the direction of the ray that leaves by the law of reflection."""
     wide_vectors()
-    s0, sz, szz, sx, sxz = sums[0], sums[1], sums[2], sums[3], sums[4]
-    depth, turned, leave_x, leave_y = sums[7], sums[8], sums[9], sums[10]
     one = rig.one
     for i in range(_u(n)):
-        wx, wy, q = pixels.rays_x[first + i], pixels.rays_y[first + i], slopes[i]
-        per = one / s0[i]
-        middle = sz[i] * per
-        spread = szz[i] - sz[i] * middle
-        rate = (sxz[i] - sx[i] * middle) / spread
+        wx, wy, q = pixels.rays_x[first + i], pixels.rays_y[first + i], s[_SLOPE + i]
+        sx = s[_SX + i]
+        per = one / s[_S0 + i]
+        middle = s[_SZ + i] * per
+        spread = s[_SZZ + i] - s[_SZ + i] * middle
+        rate = (s[_SXZ + i] - sx * middle) / spread
         turn = rate - (wx - table.shear * wy)
-        h = (rate * (rig.middle + middle) - sx[i] * per) / turn
-        ux = rate + table.shear * leave_y[i]
+        ux = rate + table.shear * s[_UY + i]
         # With g, the ratio of the lengths of (ux, uy, 1) and (wx, wy, 1): uy = -wy g - q (1 + g).
         t = wy + q
         a = one + wx * wx + wy * wy - t * t
-        g = (q * t + np.sqrt(q * q * t * t + a * (one + ux * ux + q * q))) / a
-        leave_x[i] = ux
-        leave_y[i] = -wy * g - q * (one + g)
-        depth[i] = h
-        turned[i] = turn * turn * table.precision
+        # One division for two.
+        both = one / (a * turn)
+        g = (q * t + np.sqrt(q * q * t * t + a * (one + ux * ux + q * q))) * (both * turn)
+        s[_UX + i] = ux
+        s[_UY + i] = -wy * g - q * (one + g)
+        s[_DEPTH + i] = (rate * (rig.middle + middle) - sx * per) * (both * a)
+        s[_TURNED + i] = turn * turn * table.precision
 
 
-@njit(**_SIMD)
-def _meet_across(pixels: Pixels, table: Table, table_y: Table, rig: Rig, sums: Values, first: int, n: int) -> None:
+@njit(**SIMD)
+def _meet_across(pixels: Pixels, table: Table, table_y: Table, rig: Rig, s: Values, first: int, n: int) -> None:
     """As `_meet`, where rows tell the place across: the nearest point of both rays."""
-    s0, sz, szz, sx, sxz = sums[0], sums[1], sums[2], sums[3], sums[4]
-    depth, turned, leave_x, leave_y, sy, syz = sums[7], sums[8], sums[9], sums[10], sums[11], sums[12]
+    wide_vectors()
     for i in range(_u(n)):
         wx, wy = pixels.rays_x[first + i], pixels.rays_y[first + i]
-        per = rig.one / s0[i]
-        middle = sz[i] * per
-        spread = szz[i] - sz[i] * middle
-        rate, uy = (sxz[i] - sx[i] * middle) / spread, (syz[i] - sy[i] * middle) / spread
+        sx, sy = s[_SX + i], s[_SY + i]
+        per = rig.one / s[_S0 + i]
+        middle = s[_SZ + i] * per
+        spread = s[_SZZ + i] - s[_SZ + i] * middle
+        rate, uy = (s[_SXZ + i] - sx * middle) / spread, (s[_SYZ + i] - sy * middle) / spread
         turn, turn_y = rate - (wx - table.shear * wy), uy - wy
         z = rig.middle + middle
         weight = turn * turn * table.precision + turn_y * turn_y * table_y.precision
-        h = turn * (rate * z - sx[i] * per) * table.precision + turn_y * (uy * z - sy[i] * per) * table_y.precision
-        h = h / weight
-        leave_x[i] = rate + table.shear * uy
-        leave_y[i] = uy
-        depth[i] = h
-        turned[i] = weight
+        h = turn * (rate * z - sx * per) * table.precision + turn_y * (uy * z - sy * per) * table_y.precision
+        s[_UX + i] = rate + table.shear * uy
+        s[_UY + i] = uy
+        s[_DEPTH + i] = h / weight
+        s[_TURNED + i] = weight
 
 
-@njit(**_SIMD)
-def _put(rig: Rig, sums: Values, results: Results, first: int, n: int) -> None:
+@njit(**SIMD)
+def _put(rig: Rig, s: Values, results: Results, first: int, n: int) -> None:
     """The depth and, from the line fit's variance at its height, the depth's sigma."""
     wide_vectors()
-    s0, sz, szz, low, depth, turned = sums[0], sums[1], sums[2], sums[6], sums[7], sums[8]
+    zero = rig.one - rig.one
     for i in range(_u(n)):
-        h = depth[i]
-        per = rig.one / s0[i]
-        middle = sz[i] * per
-        spread = szz[i] - sz[i] * middle
+        h, turned = s[_DEPTH + i], s[_TURNED + i]
+        per = rig.one / s[_S0 + i]
+        middle = s[_SZ + i] * per
+        spread = s[_SZZ + i] - s[_SZ + i] * middle
         reach = h - rig.middle - middle
-        variance = (per + reach * reach / spread) / turned[i]
-        known = (turned[i] > rig.least_turn) & (spread > rig.least_spread * s0[i])
+        variance = (per + reach * reach / spread) / turned
+        known = (turned > rig.least_turn) & (spread > rig.least_spread * s[_S0 + i])
         # No surface lies behind the glass or the camera.
-        known = known & (h < low[i]) & (h < rig.camera_z) & (variance < rig.one / (rig.one - rig.one))
+        known = known & (h < s[_LOW + i]) & (h < rig.camera_z) & (variance < rig.one / zero)
         results.depth[first + i] = h if known else rig.nan
         results.sigma[first + i] = np.sqrt(variance) if known else rig.nan
 
 
-@njit(**_SIMD)
-def _put_slopes(pixels: Pixels, rig: Rig, sums: Values, results: Results, first: int, n: int) -> None:
-    """Slopes of the surface: its normal halves the angle of the two rays."""
+@njit(**SIMD)
+def _put_slopes(pixels: Pixels, rig: Rig, s: Values, results: Results, first: int, n: int) -> None:
     wide_vectors()
-    leave_x, leave_y = sums[9], sums[10]
-    one = rig.one
     for i in range(_u(n)):
-        wx, wy, ux, uy = pixels.rays_x[first + i], pixels.rays_y[first + i], leave_x[i], leave_y[i]
-        g = np.sqrt((one + ux * ux + uy * uy) / (one + wx * wx + wy * wy))
         known = results.depth[first + i] == results.depth[first + i]
-        results.slope_x[first + i] = -(ux + wx * g) / (one + g) if known else rig.nan
-        results.slope_y[first + i] = -(uy + wy * g) / (one + g) if known else rig.nan
+        x, y = surface_slope(rig.one, (pixels.rays_x[first + i], pixels.rays_y[first + i]), (s[_UX + i], s[_UY + i]))
+        results.slope_x[first + i] = x if known else rig.nan
+        results.slope_y[first + i] = y if known else rig.nan
 
 
-@njit(**_SIMD)
-def _clear(sums: Values, one: Any, n: int) -> None:
-    wide_vectors()
-    for row in (0, 1, 2, 3, 4, 11, 12):
-        cleared = sums[row]
-        for i in range(_u(n)):
-            cleared[i] = one - one
-    low = sums[6]
-    for i in range(_u(n)):
-        low[i] = one / (one - one)
-
-
-@njit(**_SIMD)
-def _round(
-    pixels: Pixels, weights: Values, table: Table, table_y: Table, rig: Rig, ways: Ways, sums: Values, number: int,
-    first: int, n: int,
-) -> None:  # fmt: skip
-    """Sums over the views, with the places across that the last round found."""
-    _clear(sums, rig.one, n)
-    for k in range(pixels.phases.shape[0]):
-        phase, weight, shift = pixels.phases[k], weights[k], rig.shifts[k]
-        if ways.across or ways.corrected:
-            _add_corrected_view(
-                phase, pixels.phases_y[k], weight, pixels.rays_x, pixels.rays_y, shift, ways.across, table, table_y,
-                rig, sums, first, n,
-            )  # fmt: skip
-            continue
-        _look_up(phase, weight, pixels.rays_x, pixels.rays_y, shift, table, rig, sums, first, n)
-        if number == 0:
-            _lines(table.place, sums[13], sums[15], n)
-        else:
-            _polynomials(table.place, sums[13], sums[14], sums[15], n)
-        _add_view(weight, pixels.rays_x, pixels.rays_y, shift, table, rig, sums, first, n)
-
-
-@njit(**_KERNEL)
-def triangulate_pixels(
-    pixels: Pixels, table: Table, table_y: Table, rig: Rig, ways: Ways, results: Results, first: int, last: int
+@njit(**SIMD)
+def _view(
+    k: int, weight: Values, pixels: Pixels, tables: Any, rig: Rig, ways: Ways, s: Values, first: int, n: int
 ) -> None:
-    """Depth and its sigma for the pixels from ``first`` to ``last``."""
-    kind = pixels.rays_x.dtype
-    sums, slopes = np.empty((16, BLOCK), kind), np.zeros(BLOCK, kind)
+    """Add a view's point on the glass to the sums of the line fit."""
+    table, table_y = tables
+    zero = rig.one - rig.one
+    shift = (rig.shifts[k, 0], rig.shifts[k, 1], rig.shifts[k, 2])
+    _light(pixels, shift, rig, s, first, n)
+    if ways.bowed:
+        _bow(rig, s, n)
+    if ways.across:
+        _show(pixels.phases_y[k], s, first, n)
+        _across_is_x(table_y, s, n)
+        _look_up(weight, table_y, ways.bowed, s, zero, n)
+        _shear(table_y, s, n)
+    if ways.corrected:
+        _show_corrected(pixels.phases[k], rig, s, first, n)
+    else:
+        _show(pixels.phases[k], s, first, n)
+    _across_is_y(table, s, n)
+    _look_up(weight, table, ways.bowed, s, zero, n)
+    _add(weight, pixels, shift, table, rig, s, first, n)
+    if ways.across:
+        _add_across(weight, pixels, shift, rig, s, first, n)
+
+
+@njit(**SIMD)
+def _round(pixels: Pixels, weights: Values, tables: Any, rig: Rig, ways: Ways, s: Values, first: int, n: int) -> None:
+    """Sums over the views, with the places across that the last round found."""
+    _clear(s, rig.one, n)
+    for k in range(pixels.phases.shape[0]):
+        _view(k, weights[k], pixels, tables, rig, ways, s, first, n)
+
+
+@njit(**KERNEL)
+def triangulate_pixels(pixels: Pixels, table: Table, table_y: Table, rig: Rig, ways: Ways, results: Results) -> None:
+    """Depth and its sigma for all pixels."""
+    kind, size = pixels.rays_x.dtype, pixels.rays_x.size
+    s = np.empty(_SLOTS * PITCH, kind)
     weights = np.empty((pixels.phases.shape[0], BLOCK), kind)
-    for begin in range(first, last, BLOCK):
-        n = min(BLOCK, last - begin)
-        start = _u(begin)
+    for begin in range(0, size, BLOCK):
+        n = min(BLOCK, size - begin)
+        first = _u(begin)
         for k in range(pixels.phases.shape[0]):
-            _weigh(pixels.phases[k], pixels.phases_y[k], pixels.sigmas[k], weights[k], rig.one, start, n)
-        if ways.sloped:
-            for i in range(n):
-                slopes[i] = pixels.slopes[begin + i]
-        _start(pixels.rays_y, rig.one, start, sums, n)
-        for number in range(ways.rounds):
-            _round(pixels, weights, table, table_y, rig, ways, sums, number, start, n)
+            _weigh(pixels.phases[k], pixels.phases_y[k], pixels.sigmas[k], weights[k], rig.one, first, n)
+        _start(pixels, rig.one, s, first, n)
+        for _ in range(ways.rounds):
+            _round(pixels, weights, (table, table_y), rig, ways, s, first, n)
             if ways.across:
-                _meet_across(pixels, table, table_y, rig, sums, start, n)
+                _meet_across(pixels, table, table_y, rig, s, first, n)
             else:
-                _meet(pixels, slopes, table, rig, sums, start, n)
-        _put(rig, sums, results, start, n)
+                _meet(pixels, table, rig, s, first, n)
+        _put(rig, s, results, first, n)
         if results.slope_x.size:
-            _put_slopes(pixels, rig, sums, results, start, n)
+            _put_slopes(pixels, rig, s, results, first, n)
 
 
 announce_compilation(triangulate_pixels, "the triangulation kernel")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from irpmd_rig.core.camera import rays_at
 from irpmd_rig.core.errors import EvaluationError, FramesError
 from irpmd_rig.core.evaluation.facets import Facets
 from irpmd_rig.core.planes import correlation_inflation
-from irpmd_rig.core.reconstruction.freeform import Array, Basis, Polynomial, spline_over
+from irpmd_rig.core.reconstruction.freeform import Array, Basis, Polynomial, Spline, spline_over
 from irpmd_rig.core.reconstruction.surface_fit import (
     FacetPixels,
     Showing,
     SurfaceFit,
+    blur_of_range,
     displacement,
     fit_surface,
     start_from_depth,
@@ -122,6 +123,8 @@ class Doubts:
     ----------
     variations : tuple of RigModel
         The rig displaced along each principal axis of its calibration's covariance by one standard deviation.
+    shifts_mm : ndarray, (variations, positions), optional
+        By how much each of them would move the views' positions, where these were found with the rig's model.
     sigma_position_mm : float
         Standard deviation of each view's stage position.
     psf_px : float
@@ -131,6 +134,7 @@ class Doubts:
     """
 
     variations: tuple[RigModel, ...] = ()
+    shifts_mm: Array | None = None
     sigma_position_mm: float = 0.0
     psf_px: float = 0.0
     chi2_limit: float = 2.0
@@ -206,7 +210,12 @@ def estimate_surfaces(
             f"the calibrated model is off (chi2 per degree of freedom: phases {chi2:.2f}, against triangulation "
             f"{disagreement:.1f}): heights and tilts are the triangulated ones"
         )
-    estimates = tuple(_estimate(f, model, doubts, off) for f in fitted)
+    if views.phases_y_rad is None and any(isinstance(f.basis, Spline) for f in fitted):
+        remarks.append(
+            "curved facets are shown by fringes along x alone: their slopes along y are hardly known, nor are steps "
+            "along y; take fringes along x and y, in the calibration of the geometry too"
+        )
+    estimates = tuple(_estimate(f, model, doubts, disagreement if off else None) for f in fitted)
     maps = _maps(views, fitted, estimates)
     return SurfaceEstimate(*maps, estimates, chi2, disagreement, "triangulation" if off else "phases", tuple(remarks))
 
@@ -272,6 +281,9 @@ def _fit(facet: int, observed: FacetPixels, model: RigModel, doubts: Doubts) -> 
     start = start_from_depth(observed, basis)
     fit = fit_surface(observed, model, basis, start, psf_px=0.0 if flat else doubts.psf_px)
     rows = basis.rows(observed.places)
+    if not flat and doubts.psf_px > 0:
+        blur = blur_of_range(observed, model, basis, fit.coefficients, doubts.psf_px)
+        observed = replace(observed, inverse_range=observed.inverse_range - blur)
     rest = observed.inverse_range - rows.inverse_range(fit.coefficients)
     used = np.abs(rest - np.median(rest)) <= 5 * 1.4826 * np.median(np.abs(rest - np.median(rest)))
     linear = observed.linear * used[:, None] / used.sum()
@@ -298,7 +310,11 @@ def _changed(observed: FacetPixels, model: RigModel, doubts: Doubts) -> list[tup
     """Displaced stage positions, one a position, then displaced rigs."""
     at = np.array([showing.position_mm for showing in observed.showings])
     changed = [(model, np.where(at == position, doubts.sigma_position_mm, 0.0)) for position in np.unique(at)]
-    return changed + [(variation, np.zeros(len(at))) for variation in doubts.variations]
+    if doubts.shifts_mm is None:
+        return changed + [(variation, np.zeros(len(at))) for variation in doubts.variations]
+    # Showings along y follow those along x, at the same positions.
+    kinds = len(at) // doubts.shifts_mm.shape[1]
+    return changed + list(zip(doubts.variations, np.tile(doubts.shifts_mm, kinds), strict=True))
 
 
 def _is_flat(observed: FacetPixels, plane: Polynomial, model: RigModel) -> bool:
@@ -309,20 +325,26 @@ def _is_flat(observed: FacetPixels, plane: Polynomial, model: RigModel) -> bool:
     to_mm = 1 / (some.inverse_range**2).mean() * abs(float(model.frame.directions(some.rays)[:, 2].mean()))
     shape = to_mm * (matrix - orthogonal @ (orthogonal.T @ matrix))
 
-    def shows_none(coefficients: Array, covariance: Array) -> bool:
-        rms2 = float(np.mean((shape @ coefficients) ** 2))
-        variance = float(np.einsum("ni,ij,nj->", shape, covariance, shape)) / len(shape)
-        return rms2 <= _FLAT_MM**2 + _SHAPE_SIGMAS**2 * variance
+    def rms2(coefficients: Array) -> float:
+        return float(np.mean((shape @ coefficients) ** 2))
 
     # The depth first: neither plane nor low polynomial come near the phases of a strongly curved mirror.
     weighted = matrix / some.inverse_sigma[:, None]
     by_depth, unsure = start_from_depth(some, basis)[0], np.asarray(np.linalg.inv(weighted.T @ weighted))
-    if not shows_none(by_depth, unsure):
+    bound = _FLAT_MM**2 + _SHAPE_SIGMAS**2 * float(np.einsum("ni,ij,nj->", shape, unsure, shape)) / len(shape)
+    if rms2(by_depth) > bound:
         return False
     flat = fit_surface(some, model, plane, start_from_depth(some, plane))
     fit = fit_surface(some, model, basis, (np.pad(flat.coefficients, (0, basis.count - plane.count)), 0.0))
+    # By what the shape explains, not by how far it is from none: phases along x alone are explained nearly as well
+    # by far-away polynomials that lean along y.
+    values = sum(int(np.count_nonzero(showing.weight)) for showing in some.showings)
+    before, after = (found.chi2_per_dof * (values - kind.count) for found, kind in ((flat, plane), (fit, basis)))
+    explained = (before - after) / (max(fit.chi2_per_dof, 1.0) * fit.coherence)
+    if rms2(fit.coefficients) <= _FLAT_MM**2 or explained <= _SHAPE_SIGMAS**2 * (basis.count - plane.count):
+        return True
     # A shape in the phases that the depth rules out is an error of the model.
-    return shows_none(fit.coefficients, fit.covariance) or not shows_none(fit.coefficients - by_depth, unsure)
+    return rms2(fit.coefficients - by_depth) > bound
 
 
 def _disagreement(fitted: Sequence[_Fitted]) -> tuple[float, float]:
@@ -336,14 +358,17 @@ def _disagreement(fitted: Sequence[_Fitted]) -> tuple[float, float]:
     return chi2 / len(pulls), float(stats.chi2.isf(_CHANCE, len(pulls))) / len(pulls)
 
 
-def _estimate(fitted: _Fitted, model: RigModel, doubts: Doubts, off: bool) -> FacetEstimate:
+def _estimate(fitted: _Fitted, model: RigModel, doubts: Doubts, off: float | None) -> FacetEstimate:
+    """The facet; where the model is ``off``, by so much, with the triangulated height and tilt."""
     coefficients, covariance, moved = fitted.fit.coefficients, fitted.fit.covariance, fitted.moved
-    if off:
-        # The most likely surface among those whose piston and tilt are the triangulated ones.
+    if off is not None:
+        # The most likely surface among those whose piston and tilt are the triangulated ones. On a curved mirror slopes
+        # and blur put those off as well, so that how far both ways differ is the measure of either.
+        unsure = fitted.covariance * (max(off, 1.0) if isinstance(fitted.basis, Spline) else 1.0)
         crossed = covariance @ fitted.means.T
         gain = np.linalg.solve(fitted.means @ crossed, crossed.T).T
         coefficients = coefficients + gain @ fitted.difference
-        covariance = covariance - gain @ crossed.T + gain @ fitted.covariance @ gain.T
+        covariance = covariance - gain @ crossed.T + gain @ unsure @ gain.T
         moved = moved + fitted.moved_difference @ gain.T
     stages = len(moved) - len(doubts.variations)
     displaced = tuple(zip(doubts.variations, moved[stages:], strict=True))

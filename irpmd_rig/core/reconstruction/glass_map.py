@@ -20,6 +20,7 @@ DEGREE = 7
 """Total degree of the polynomials: a lens of 0.3 % distortion, turned by a degree, is met to 2e-8 mm."""
 
 _SAMPLES = 24
+_COARSE_DEGREE = 3
 _NEWTON_ROUNDS = 12
 _STEP_MM = 1e-3
 _SETTLED_MM = 1e-9
@@ -40,14 +41,17 @@ class GlassMap:
         Slope of the lines of equal phase against the axis across.
     place_mm : ndarray, (DEGREE + 1, DEGREE + 1)
         The coefficients c; zero where i + j > DEGREE.
+    coarse_mm : ndarray, (4, 4)
+        As `place_mm`, of degree 3: right to micrometres.
     lift : ndarray, (DEGREE + 1, DEGREE + 1)
-        The same for the change of the place with the height of the glass, for a glass that is no plane.
+        As `place_mm`, for the change of the place with the height of the glass, for a glass that is no plane.
     """
 
     along_rad: tuple[float, float]
     across_mm: tuple[float, float]
     shear: float
     place_mm: Array
+    coarse_mm: Array
     lift: Array
 
     @property
@@ -88,10 +92,12 @@ def tabulate(model: RigModel, axis: int = 0) -> GlassMap:
     coefficients, misfit = _fit(u, v, place)
     if not misfit < 1e-3 * np.ptp(place):
         raise CalibrationError("the projector of this calibration lights the glass too obliquely: calibrate anew")
-    shear = float(coefficients[1, 0] / across[1])
-    coefficients[0, 0] -= shear * across[0]
-    coefficients[1, 0] = 0.0
-    return GlassMap(along, across, shear, coefficients, _fit(u, v, lift)[0])
+    shear = float(powers(coefficients)[1, 0] / across[1])
+    # Of Chebyshev polynomials the first few are nearly the best of their degree.
+    coefficients[:2, 0] -= shear * across[0], shear * across[1]
+    few = _COARSE_DEGREE + 1
+    coarse = np.where(np.add.outer(range(few), range(few)) < few, coefficients[:few, :few], 0.0)
+    return GlassMap(along, across, shear, powers(coefficients), powers(coarse), powers(_fit(u, v, lift)[0]))
 
 
 class _Light:
@@ -137,7 +143,7 @@ def _interval(values: Array) -> tuple[float, float]:
 
 
 def _fit(u: Array, v: Array, values: Array) -> tuple[Array, float]:
-    """Coefficients of v^j u^i, and the largest misfit."""
+    """Coefficients of T_j(v) T_i(u), and the largest misfit."""
     basis_u, basis_v = (np.polynomial.chebyshev.chebvander(t, DEGREE) for t in (u, v))
     pairs = [(j, i) for j in range(DEGREE + 1) for i in range(DEGREE + 1 - j)]
     design = np.stack([basis_v[:, j] * basis_u[:, i] for j, i in pairs], axis=1)
@@ -145,7 +151,7 @@ def _fit(u: Array, v: Array, values: Array) -> tuple[Array, float]:
     coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
     for pair, value in zip(pairs, solution, strict=True):
         coefficients[pair] = value
-    return powers(coefficients), float(np.abs(design @ solution - values).max())
+    return coefficients, float(np.abs(design @ solution - values).max())
 
 
 def powers(chebyshev: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from irpmd_rig.core.block_sums import block_sums
 from irpmd_rig.core.errors import FramesError
 
 # A reflected straight fringe is a ratio of two linear functions of the ray, and the lenses bend it smoothly: this
@@ -110,11 +111,11 @@ def _fit(
     u_axis: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Chebyshev coefficients (degree + 1, degree + 1) of total degree up to `_DEGREE`, from means of cells."""
-    count = _cell_sums(known.astype(np.float64))
+    count = block_sums(known.astype(np.float64), _CELL_PX)
     full = count > 0
-    v_mean = _cell_sums(known * v_axis[:, None])[full] / count[full]
-    u_mean = _cell_sums(known * u_axis[None, :])[full] / count[full]
-    values = _cell_sums(phase)[full] / count[full]
+    v_mean = block_sums(known * v_axis[:, None], _CELL_PX)[full] / count[full]
+    u_mean = block_sums(known * u_axis[None, :], _CELL_PX)[full] / count[full]
+    values = block_sums(phase, _CELL_PX)[full] / count[full]
     weight = np.sqrt(count[full])
     basis_v, basis_u = chebyshev.chebvander(v_mean, _DEGREE), chebyshev.chebvander(u_mean, _DEGREE)
     pairs = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
@@ -124,12 +125,6 @@ def _fit(
     for (i, j), value in zip(pairs, solution, strict=True):
         coefficients[i, j] = value
     return coefficients
-
-
-def _cell_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    height, width = (size // _CELL_PX * _CELL_PX for size in values.shape)
-    cells = values[:height, :width].reshape(height // _CELL_PX, _CELL_PX, width // _CELL_PX, _CELL_PX)
-    return np.asarray(cells.sum(axis=(1, 3)))
 
 
 def _coherent(residual: NDArray[np.float64], side: int = 32) -> float:

@@ -6,8 +6,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from irpmd_rig.core._kernel_notice import announce_compilation
+from irpmd_rig.core.phase._wide_vectors import wide_vectors
 from irpmd_rig.core.reconstruction.views import Views
 
 # A step or an edge makes the phase jump by radians (2 h tan(theta) or 2 d dslope on the glass); what a smooth surface
@@ -15,6 +18,8 @@ from irpmd_rig.core.reconstruction.views import Views
 _SIGMAS = 8.0
 _LEAST_JUMP_RAD = 0.02
 _FEWEST_PIXELS = 30
+# Pixels from which a typical sigma is taken.
+_SAMPLES = 4096
 
 
 def smooth_regions(views: Views) -> NDArray[np.int32]:
@@ -37,27 +42,55 @@ def smooth_regions(views: Views) -> NDArray[np.int32]:
     deviation is 2.24 times that of a phase, and eight of its sigmas count as a jump (a step of 0.2 mm, an edge of
     0.04 deg in the paper's rig).
     """
-    smooth = np.logical_and.reduce([np.isfinite(phase) for phase in views.phases_rad])
-    jump = np.zeros(views.shape, np.bool_)
+    smooth = np.ones(views.shape, np.uint8)
+    for phase in views.phases_rad:
+        smooth &= np.isfinite(phase)
+    jump = np.zeros(views.shape, np.uint8)
     for phase, sigma in zip(views.phases_rad, views.sigmas_rad, strict=True):
-        typical = float(np.median(sigma[smooth])) if smooth.any() else 0.0
+        known = sigma[smooth > 0]
+        typical = float(np.median(known[:: max(1, known.size // _SAMPLES)])) if known.size else 0.0
         limit = max(_SIGMAS * np.sqrt(5.0) * typical, _LEAST_JUMP_RAD)
-        jump |= _jumps(phase, limit) | _jumps(phase.T, limit).T
-    smooth &= ~jump
-    _, labels, statistics, _ = cv2.connectedComponentsWithStats(smooth.astype(np.uint8), connectivity=4)
+        _mark_jumps(phase, phase.dtype.type(limit), jump)
+    smooth[jump > 0] = 0
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(smooth, connectivity=4)
     kept = statistics[:, cv2.CC_STAT_AREA] >= _FEWEST_PIXELS
     kept[0] = False
     renumbered = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
     return np.asarray(renumbered[labels])
 
 
-def _jumps(phase: NDArray[np.floating[Any]], limit: float) -> NDArray[np.bool_]:
-    """Both pixels of every pair along a row between which the phase jumps."""
-    jump = np.zeros(phase.shape, np.bool_)
-    if phase.shape[1] < 4:
-        return jump
-    change = np.diff(phase, axis=1)
-    departs = np.abs(change[:, 1:-1] - (change[:, :-2] + change[:, 2:]) / 2) > limit
-    jump[:, 1:-2] |= departs
-    jump[:, 2:-1] |= departs
-    return jump
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_jumps(phase: NDArray[Any], limit: Any, jump: NDArray[np.uint8]) -> None:
+    """Mark both pixels of every pair, along rows and columns, between which the phase jumps."""
+    height, width = phase.shape
+    pair = np.zeros(width, np.uint8)
+    for row in range(height):
+        if width > 3:
+            here = phase[row]
+            _depart(here[:-3], here[1:-2], here[2:-1], here[3:], limit, pair)
+            _mark(pair[: width - 3], jump[row, 1:-2])
+            _mark(pair[: width - 3], jump[row, 2:-1])
+        if 0 < row < height - 2:
+            _depart(phase[row - 1], phase[row], phase[row + 1], phase[row + 2], limit, pair)
+            _mark(pair, jump[row])
+            _mark(pair, jump[row + 1])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _depart(a: Any, b: Any, c: Any, d: Any, limit: Any, pair: Any) -> None:
+    """Whether the change from b to c departs from the mean of the changes beside it."""
+    wide_vectors()
+    for i in range(np.uintp(a.size)):
+        # Three times the middle change less the whole: twice the departure.
+        twice = (c[i] - b[i]) - (d[i] - c[i]) + (c[i] - b[i]) - (b[i] - a[i])
+        pair[i] = abs(twice) > limit + limit
+
+
+@njit(nogil=True, error_model="numpy")
+def _mark(pair: Any, jump: Any) -> None:
+    wide_vectors()
+    for i in range(np.uintp(pair.size)):
+        jump[i] |= pair[i]
+
+
+announce_compilation(_mark_jumps, "the search for edges")

@@ -264,6 +264,20 @@ def displacement(
     return np.array(moved).reshape(-1, basis.count), np.array(moments).reshape(-1, 3)
 
 
+def blur_of_range(facet: FacetPixels, model: RigModel, basis: Basis, coefficients: Array, psf_px: float) -> Array:
+    """What the camera's blur adds to the triangulated 1 / Z of each pixel of a curved surface, (n,), 1/mm.
+
+    On a sphere of radius 100 it lowers the depth by micrometres (physics notes, section 5).
+    """
+    tangents = basis.rows(facet.places).tangents(coefficients)
+    gradients = [
+        reflected_phase_and_gradient(model, facet.rays, tangents, showing.position_mm, along_y=showing.along_y)[1]
+        for showing in facet.showings
+    ]
+    shifts = [_blur_rad(facet, model, basis, coefficients, showing, psf_px) for showing in facet.showings]
+    return np.asarray(np.nan_to_num((_pixelwise(facet, gradients) * np.stack(shifts, axis=1)).sum(axis=1)))
+
+
 def _pixelwise(facet: FacetPixels, gradients: list[Array]) -> Array:
     """Derivatives, (n, showings), of each pixel's own w by its phases: by triangulation, the y slope held if it is."""
     gradient = np.stack(gradients, axis=1) * np.stack([s.weight for s in facet.showings], axis=1)[..., None]

@@ -74,19 +74,6 @@ class Surface:
         """Points (n, 3) of M that pixels (n, 2), column and row, see on the surface."""
         return self._seen(pixels, self.model, self.coefficients)
 
-    def mean_gradient(self, pixels: NDArray[np.integer]) -> Array:
-        """Derivatives of the mean height that pixels (n, 2) see by the coefficients, (count,)."""
-        rays = rays_at(self.model.intrinsics, pixels)
-        rows = self.basis.rows(rays[:, :2])
-        fall = self.model.frame.directions(rays)[:, 2]
-        return rows.slope(rows.value, -fall / rows.inverse_range(self.coefficients) ** 2) / len(pixels)
-
-    def displaced_means_mm(self, pixels: NDArray[np.integer]) -> Array:
-        """Changes of the mean height that pixels (n, 2) see under each displaced calibration, (k,)."""
-        here = self.points_mm(pixels)[:, 2].mean()
-        changed = [self._seen(pixels, rig, self.coefficients + change)[:, 2] for rig, change in self.displaced]
-        return np.array([heights.mean() - here for heights in changed])
-
     def _seen(self, pixels: NDArray[np.integer], rig: RigModel, coefficients: Array) -> Array:
         rays = rays_at(rig.intrinsics, pixels)
         depth = 1 / self.basis.rows(rays[:, :2]).inverse_range(coefficients)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,26 +10,22 @@ from numpy.typing import NDArray
 
 from irpmd_rig.core.camera import rays_at
 from irpmd_rig.core.errors import FramesError
-from irpmd_rig.core.reconstruction._triangulation_kernel import (
-    Pixels,
-    Results,
-    Rig,
-    Smooth,
-    Table,
-    Ways,
-    triangulate_pixels,
-)
+from irpmd_rig.core.reconstruction._kernel_parts import Pixels, Results, Rig, Smooth, Table
+from irpmd_rig.core.reconstruction._triangulation_kernel import Ways, triangulate_pixels
+from irpmd_rig.core.reconstruction._two_views_kernel import triangulate_two_views
 from irpmd_rig.core.reconstruction.glass_map import GlassMap, powers, tabulate
 from irpmd_rig.core.reconstruction.smooth_regions import smooth_regions
-from irpmd_rig.core.reconstruction.surface_slope import slope_across
+from irpmd_rig.core.reconstruction.surface_slope import Cells, cell_px
 from irpmd_rig.core.reconstruction.views import DepthMap, Map, Views
 from irpmd_rig.core.rig_model import Correction, RigModel
 
 Kind = np.dtype[Any]
 
 _BAND_ROWS = 128
-# Rounds of the place across: each gains two digits or more; float32 holds no more than three rounds give.
-_ROUNDS = {np.dtype(np.float32): 3, np.dtype(np.float64): 6}
+_BAND_PX = 32_768
+# Rounds of the place across: each gains two digits or more, and float32 holds no more. One more where the rows' phases
+# tell it, which come without a slope to begin with.
+_ROUNDS = {np.dtype(np.float32): 2, np.dtype(np.float64): 4}
 _LEAST_ANGLE = 1e-3
 _LEAST_SPREAD = 1e-5
 
@@ -127,21 +123,34 @@ def triangulate(views: Views, model: RigModel, *, tables: RigTables | None = Non
     on that sphere. Phases in float32 are computed in float32 (0.1 um), else in float64 (1e-4 um; 0.1 um
     with a glass bowed by 50 um).
     """
-    kind = np.result_type(*views.phases_rad)
-    tables = rig_tables(model, kind.type) if tables is None else tables
+    tables = rig_tables(model, np.result_type(*views.phases_rad).type) if tables is None else tables
     _check_window(views, tables)
-    pixels, ways, place = _given(views, tables, kind), _ways(views, model, kind), _Place.of(views, tables, kind)
     if not slope_rounds:
-        return _solved(pixels, ways, place, views.shape, slopes=False)
-    if ways.across:
-        return _solved(pixels, ways, place, views.shape, slopes=True)
-    regions = smooth_regions(views)
-    found = _solved(pixels, ways, place, views.shape, slopes=False)
-    for left in range(slope_rounds, 0, -1):
-        slope = slope_across(found.depth_mm, *tables.points_mm(found.depth_mm, views.window), regions)
-        pixels = pixels._replace(slopes=slope.astype(kind).reshape(-1))
-        found = _solved(pixels, ways._replace(sloped=True), place, views.shape, slopes=left == 1)
-    return found
+        return _solved(views, tables)
+    if views.phases_y_rad is not None:
+        return _solved(views, tables, with_slopes=True)
+    return _solved(views, tables, _slopes(views, tables, slope_rounds), with_slopes=True)
+
+
+def _slopes(views: Views, tables: RigTables, rounds: int) -> NDArray[np.float32]:
+    """Slope across of every pixel, by triangulation of the mean phases of small cells, round by round."""
+    rays = tables.rays_x[views.window], tables.rays_y[views.window]
+    camera = tables.model.frame.camera_mm
+    cells = Cells(smooth_regions(views), cell_px(*(abs(camera[2]) * values for values in rays)))
+    seen = RigTables(tables.model, cells.means(rays[0]), cells.means(rays[1]), tables.along_x, tables.along_y)
+    whole = tuple(slice(0, size) for size in cells.regions.shape)
+    few = replace(
+        views,
+        phases_rad=tuple(cells.means(phase) for phase in views.phases_rad),
+        sigmas_rad=tuple(cells.means(sigma) for sigma in views.sigmas_rad),
+        window=(whole[0], whole[1]),
+    )
+    slope: Map | None = None
+    for _ in range(rounds):
+        depth = _solved(few, seen, slope).depth_mm.astype(np.float64)
+        fit = cells.fit(*seen.points_mm(depth, few.window), depth)
+        slope = fit.slope
+    return cells.spread(fit, *rays, depth - camera[2], (float(camera[0]), float(camera[1])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,39 +196,54 @@ def _check_window(views: Views, tables: RigTables) -> None:
         raise FramesError(f"the window {views.window} is not within the camera's picture of {height} x {width} pixels")
 
 
-def _given(views: Views, tables: RigTables, kind: Kind) -> Pixels:
-    def flat(values: NDArray[Any]) -> NDArray[Any]:
+def _solved(views: Views, tables: RigTables, slopes: Map | None = None, *, with_slopes: bool = False) -> DepthMap:
+    """Depth with the surface's slope across as given, or level; in bands of rows, copied where they lie apart."""
+    kind = np.result_type(*views.phases_rad)
+    place, ways = _Place.of(views, tables, kind), _ways(views, tables.model, kind)
+    height, width = views.shape
+    maps = [np.empty((height, width), kind) for _ in range(4 if with_slopes else 2)]
+    rows, columns = views.window
+    band = max(1, _BAND_PX // width)
+    for top in range(0, height, band):
+        part = slice(top, min(top + band, height))
+        seen = slice(rows.start + part.start, rows.start + part.stop), columns
+        pixels = _pixels(views, part, (tables.rays_x[seen], tables.rays_y[seen]), slopes, kind)
+        found = [values[part].reshape(-1) for values in maps]
+        results = Results(*found) if with_slopes else Results(*found, *np.empty((2, 0), kind))
+        if len(views.positions_mm) == 2 and not (ways.across or ways.bowed or ways.corrected):
+            triangulate_two_views(pixels, place.along_x, place.rig, ways.rounds, results)
+        else:
+            triangulate_pixels(pixels, place.along_x, place.along_y, place.rig, ways, results)
+    return DepthMap(*(values.astype(np.float32, copy=False) for values in maps))
+
+
+def _pixels(views: Views, rows: slice, rays: tuple[Map, Map], slopes: Map | None, kind: Kind) -> Pixels:
+    """What is given of some rows of the window."""
+
+    def flat(values: Map) -> Map:
         return np.ascontiguousarray(values, dtype=kind).reshape(-1)
 
-    def stacked(maps: tuple[Map, ...]) -> NDArray[Any]:
-        return np.stack(maps, dtype=kind).reshape(len(maps), -1)
+    def stacked(maps: tuple[Map, ...]) -> Map:
+        return np.stack([values[rows] for values in maps], dtype=kind).reshape(len(maps), -1)
 
     phases = stacked(views.phases_rad)
     return Pixels(
         phases,
         phases if views.phases_y_rad is None else stacked(views.phases_y_rad),
         stacked(views.sigmas_rad),
-        flat(tables.rays_x[views.window]),
-        flat(tables.rays_y[views.window]),
-        np.empty(0, kind),
+        flat(rays[0]),
+        flat(rays[1]),
+        np.empty(0, kind) if slopes is None else flat(slopes[rows]),
     )
 
 
 def _ways(views: Views, model: RigModel, kind: Kind) -> Ways:
-    corrected = model.bow_mm is not None or model.correction_rad is not None
-    return Ways(views.phases_y_rad is not None, False, corrected, _ROUNDS[kind])
-
-
-def _solved(pixels: Pixels, ways: Ways, place: _Place, shape: tuple[int, int], *, slopes: bool) -> DepthMap:
-    size, kind = pixels.rays_x.size, pixels.rays_x.dtype
-    depth, sigma = np.empty((2, size), kind)
-    slope_x, slope_y = np.empty((2, size if slopes else 0), kind)
-    results = Results(depth, sigma, slope_x, slope_y)
-    triangulate_pixels(pixels, place.along_x, place.along_y, place.rig, ways, results, 0, size)
-    depth, sigma, slope_x, slope_y = (values.astype(np.float32, copy=False) for values in results)
-    if not slopes:
-        return DepthMap(depth.reshape(shape), sigma.reshape(shape))
-    return DepthMap(*(values.reshape(shape) for values in (depth, sigma, slope_x, slope_y)))
+    return Ways(
+        across=views.phases_y_rad is not None,
+        bowed=model.bow_mm is not None,
+        corrected=model.correction_rad is not None,
+        rounds=_ROUNDS[kind] + (views.phases_y_rad is not None),
+    )
 
 
 def _table(glass: GlassMap, kind: Kind) -> Table:
@@ -230,8 +254,10 @@ def _table(glass: GlassMap, kind: Kind) -> Table:
         number(glass.across_mm[0]),
         number(1 / glass.across_mm[1]),
         number(glass.shear),
+        glass.coarse_mm.astype(kind),
         glass.place_mm.astype(kind),
         glass.lift.astype(kind),
+        number(glass.mm_per_rad**2),
         number(1 / glass.mm_per_rad**2),
     )
 

@@ -20,7 +20,7 @@ SIZE_PX = 384
 SIGMA_RAD = 14.7e-3 * SIZE_PX / 2048
 POSITIONS_MM = (0.0, -40.0, -80.0, 40.0)
 CORNER_NOISE_PX = 0.031 * SIZE_PX / 2048
-PROJECTOR = NominalProjector((1024, 768), 64.0, 4000.0)
+PROJECTOR = NominalProjector((1024, 768), 64.0)
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Scene:
     camera: CameraCalibration
     geometry: RigGeometry
     views: tuple[RigView, ...]
+    shown: tuple[Shown, ...]
 
 
 def turned_world(seed: int, *, bow_um: float = 0.0, warp_px: float = 0.0, mirrored: bool = False) -> World:
@@ -74,7 +75,7 @@ def scene_of(
     true_mm = [position + stage_noise_mm * rng.standard_normal() for position in POSITIONS_MM]
     shown = phases_of(world, "mirror", true_mm, sigma_rad=sigma_rad, seed=seed, size_px=None)
     views = tuple(view_of(one, read, stated_rad) for one, read in zip(shown, POSITIONS_MM, strict=True))
-    return Scene(world, truth, checkerboard(truth, rng), rough_geometry(truth), views)
+    return Scene(world, truth, checkerboard(truth, rng), rough_geometry(truth), views, tuple(shown))
 
 
 def view_of(shown: Shown, read_mm: float, sigma_rad: float) -> RigView:

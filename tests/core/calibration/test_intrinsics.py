@@ -4,7 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from irpmd_rig.core.calibration.intrinsics import Checkerboard, calibrate_camera, find_corners
+from irpmd_rig.core.calibration.intrinsics import (
+    Checkerboard,
+    calibrate_camera,
+    find_corners,
+    neighbours_excess,
+)
 from irpmd_rig.core.errors import CalibrationError, FramesError
 
 SIZE = 640
@@ -105,3 +110,23 @@ def test_what_cannot_be_calibrated_is_said():
             calibrate_camera(odd)
     with pytest.raises(CalibrationError, match="3 x 3"):
         Checkerboard((2, 5), 10.0)
+
+
+def test_independent_corner_errors_are_not_inflated_and_such_that_hang_together_are():
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((200, 13, 11, 2))
+    factors = [neighbours_excess(one) for one in white]
+    assert np.median(factors) == 1
+    assert max(factors) < 3
+    together = [neighbours_excess(cv2.GaussianBlur(one, (0, 0), 1.5, borderType=cv2.BORDER_REFLECT)) for one in white]
+    assert np.median(together) > 5
+
+
+def test_the_tilt_of_a_board_along_the_pixels_is_as_unsure_as_it_says():
+    others = [board_image(*pose)[0] for pose in POSES[1:]]
+    scores = []
+    for distance_mm in (295, 310, 325, 340, 355, 370):
+        calibration = calibrate_camera([*others, board_image((0, 0, 0), distance_mm)[0]], threads=2)
+        board = calibration.boards[-1]
+        scores.append(board.rotation[:2, 2] / board.sigma_tilt_rad)
+    assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.1

@@ -29,7 +29,7 @@ def calibrated(seed: int, *, bow_um: float = 0.0, warp_px: float = 0.0) -> tuple
 def measured(scene: Scene, calibration: RigCalibration) -> np.ndarray:
     """Errors (um, urad, urad) of tilted treads from exact phases at 0 and 40 mm, true positions 2 and 1 um off."""
     shown = phases_of(scene.world, "mirror_step_tilted", [0.002, 39.999], size_px=None)
-    offsets = [stage_offset(calibration.model, view_of(one, one.stage1_mm, SIGMA_RAD))[0] for one in shown]
+    offsets = [stage_offset(calibration.model, view_of(one, one.stage1_mm, SIGMA_RAD)).offset_mm for one in shown]
     return facet_errors(calibration.model, shown, offsets)
 
 

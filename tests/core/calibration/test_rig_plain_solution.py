@@ -88,7 +88,7 @@ def test_the_same_rig_from_a_plain_solution() -> None:
 
     guess = first_guess(cells, stages, lens, scene.geometry, PROJECTOR)
     exact = np.diag(np.full(8, 1e-9) ** 2)
-    unknowns = unknowns_about(guess, np.array([125.0, 0.0, 180.0]), PROJECTOR, exact, np.full(4, 1e-9))
+    unknowns = unknowns_about(guess, np.array([125.0, 0.0, 180.0]), exact, np.full(4, 1e-9))
     root = unknowns.prior_root.copy()
     for name in ("k2", "p1", "p2"):  # the plain solution has k1 only
         place = unknowns.names.index(f"projector.{name}")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpmd_rig.core import Influence, find_facets, fit_facets, step_heights
+from irpmd_rig.core import find_facets, fit_facets, step_heights
 from irpmd_rig.core.errors import EvaluationError, FramesError
 
 from .scene import FRAME, RAYS, TABLE_2, on_plane, stepped_depth
@@ -17,8 +17,8 @@ def measured(depth):
 
 @pytest.mark.parametrize("along", ["x", "y"])
 def test_steps_are_exact_without_noise(along):
-    facets, planes = measured(stepped_depth(along=along)[0])
-    steps = step_heights(planes, facets)
+    _facets, planes = measured(stepped_depth(along=along)[0])
+    steps = step_heights(planes)
     assert [step.name for step in steps] == ["1-2", "2-3", "3-4", "4-5"]
     np.testing.assert_allclose([s.height_mm for s in steps], TABLE_2, atol=1e-9)
     np.testing.assert_allclose([s.mean_height_difference_mm for s in steps], TABLE_2, atol=1e-9)
@@ -27,10 +27,10 @@ def test_steps_are_exact_without_noise(along):
 
 def test_tilted_treads_have_their_slope_and_the_step_of_their_planes():
     slopes = (0.0105, -0.006)
-    facets, planes = measured(stepped_depth(slopes=slopes)[0])
+    _facets, planes = measured(stepped_depth(slopes=slopes)[0])
     for plane in planes:
         np.testing.assert_allclose(plane.slope, slopes, atol=1e-9)
-    np.testing.assert_allclose([s.height_mm for s in step_heights(planes, facets)], TABLE_2, atol=1e-8)
+    np.testing.assert_allclose([s.height_mm for s in step_heights(planes)], TABLE_2, atol=1e-8)
 
 
 def naive_plane_height(depth, mask, directions, camera):
@@ -60,32 +60,20 @@ def test_the_fit_is_unbiased_where_a_plain_one_is_not():
 def test_the_stated_random_uncertainty_holds(noise_mm):
     pulls = []
     for seed in range(40):
-        facets, planes = measured(stepped_depth(noise_mm=noise_mm, seed=100 + seed)[0])
-        steps = step_heights(planes, facets)
+        _facets, planes = measured(stepped_depth(noise_mm=noise_mm, seed=100 + seed)[0])
+        steps = step_heights(planes)
         pulls += [1e3 * (s.height_mm - t) / s.random_um for s, t in zip(steps, TABLE_2, strict=True)]
     assert 0.7 < np.mean(np.square(pulls)) < 1.35
-
-
-def test_influences_add_in_quadrature_and_only_their_differences_count():
-    depth, _truth = stepped_depth((4.0, 5.0))
-    facets, planes = measured(depth)
-    shift = Influence("offset", "calibration", np.full(depth.shape, 3.0))
-    scale = Influence("travel", "calibration", 1e-3 * depth)
-    axis = Influence("axis", "alignment", 2e-3 * depth)
-    steps = step_heights(planes, facets, (shift, scale, axis))
-    assert steps[0].calibration_um == pytest.approx(4.0, rel=1e-6)
-    assert steps[0].alignment_um == pytest.approx(8.0, rel=1e-6)
-    assert steps[1].combined_um == pytest.approx(np.hypot(5.0, 10.0), rel=1e-3)
 
 
 def test_a_curved_facet_is_not_called_a_plane():
     x, y, _ = on_plane(0.0, (0.0, 0.0))
     depth, _ = stepped_depth((4.0,), noise_mm=0.02)
     depth = depth + np.where(y > 0, (x - 36) ** 2 / 2000, 0.0)
-    facets, planes = measured(depth)
+    _facets, planes = measured(depth)
     assert [plane.flat for plane in planes].count(False) == 1
     with pytest.raises(EvaluationError, match="curved"):
-        step_heights(planes, facets)
+        step_heights(planes)
 
 
 def test_maps_of_different_size_are_refused():
@@ -97,6 +85,6 @@ def test_maps_of_different_size_are_refused():
 def test_one_facet_has_no_step():
     depth, truth = stepped_depth(noise_mm=0.02)
     depth[truth != 2] = np.nan
-    facets, planes = measured(depth)
+    _facets, planes = measured(depth)
     with pytest.raises(EvaluationError, match="two facets, and 1"):
-        step_heights(planes, facets)
+        step_heights(planes)

@@ -9,9 +9,9 @@ from irpmd_rig.core.phase import NoiseModel, decode
 COUNTS = (64, 63, 56)
 
 
-def noisy(steps, modulation=100.0, sigma=1.5, size=(500, 1024), seed=0, counts=COUNTS):
+def noisy(steps, modulation=100.0, sigma=1.5, size=(500, 1024), seed=0, counts=COUNTS, mean=127.0):
     rng = np.random.default_rng(seed)
-    frames = fringes(counts, columns(size[1], size[0]), steps, 127, modulation)
+    frames = fringes(counts, columns(size[1], size[0]), steps, mean, modulation)
     return np.rint(frames + rng.normal(0, 1, frames.shape) * sigma).clip(0, 255).astype(np.uint8)
 
 
@@ -42,20 +42,31 @@ def test_stated_sigma_holds_for_hierarchical_unwrapping():
 
 
 def test_shot_noise_is_told_from_read_noise_where_the_light_varies():
-    modulation = np.linspace(5, 110, 1024)
-    frames = noisy(4, modulation, np.sqrt(1 + 0.03 * modulation))
+    light = np.linspace(10, 130, 1024)
+    frames = noisy(4, 0.8 * light, np.sqrt(1 + 0.03 * light), mean=light)
     noise = decode(frames, COUNTS).noise
-    for b in (20, 60, 100):
+    for a in (20, 60, 120):
         # Rounding to whole numbers adds 1/12.
-        assert noise.variance_dn2(np.float32(b)) == pytest.approx(1 + 0.03 * b + 1 / 12, rel=0.1)
+        assert noise.variance_dn2(np.float32(a)) == pytest.approx(1 + 0.03 * a + 1 / 12, rel=0.1)
+
+
+@pytest.mark.parametrize("steps", [3, 4, 8])
+def test_stated_sigma_holds_at_every_contrast(steps):
+    """Fine fringes lose contrast by the camera's blur, but no light: their noise is that of the light."""
+    contrast = np.where(np.arange(1024) < 512, 0.9, 0.35)
+    light = np.linspace(130, 60, 500)[:, None] * np.ones(1024)
+    absolute = decode(noisy(steps, contrast * light, np.sqrt(0.2 + 0.03 * light), mean=light), COUNTS)
+    pull = errors(absolute) / absolute.sigma_rad
+    for part in (pull[:100, :512], pull[-100:, :512], pull[:100, 512:], pull[-100:, 512:]):
+        assert np.mean(part[np.isfinite(part)] ** 2) == pytest.approx(1, abs=0.12)
 
 
 def test_noise_of_a_small_bright_object_in_a_dark_picture_is_found():
     modulation = np.zeros((500, 1024))
     modulation[200:300, 400:600] = 90
     sigma = np.where(modulation > 0, 2.0, 0.7)
-    absolute = decode(noisy(4, modulation, sigma), COUNTS)
-    assert absolute.noise.variance_dn2(np.float32(90)) == pytest.approx(4 + 1 / 12, rel=0.15)
+    absolute = decode(noisy(4, modulation, sigma, mean=np.where(modulation > 0, 110.0, 10.0)), COUNTS)
+    assert absolute.noise.variance_dn2(np.float32(110)) == pytest.approx(4 + 1 / 12, rel=0.15)
     np.testing.assert_array_equal(absolute.valid, modulation > 0)
 
 
@@ -69,7 +80,8 @@ def test_fringes_distorted_by_a_gamma_are_not_taken_for_noise(steps):
 
 
 def test_without_any_noise_what_is_left_is_the_rounding_to_whole_numbers():
-    assert decode(noisy(4, sigma=0.0), COUNTS).noise == NoiseModel(pytest.approx(1 / 12), 0.0)
+    noise = decode(noisy(4, sigma=0.0), COUNTS).noise
+    assert (noise.floor_dn2, noise.slope_dn) == (pytest.approx(1 / 12), 0.0)
 
 
 def test_two_sets_of_a_steep_ladder_ask_for_more_modulation():
@@ -82,6 +94,6 @@ def test_two_sets_of_a_steep_ladder_ask_for_more_modulation():
 
 
 def test_least_modulation_solves_its_equation():
-    noise = NoiseModel(2.0, 0.05)
+    noise = NoiseModel(2.0, 0.05, dark_dn=30.0, light=1.4)
     b = noise.least_modulation_dn(14)
-    assert b == pytest.approx(14 * np.sqrt(2 + 0.05 * b))
+    assert b == pytest.approx(14 * np.sqrt(noise.variance_dn2(np.float32(30 + 1.4 * b))))

@@ -73,7 +73,18 @@ def test_a_stage_that_goes_too_far_shows_in_the_scale() -> None:
     assert abs(found.scale - 1.0005) < 4 * found.sigma_scale
     assert found.sigma_scale < 5e-5
     # Straight and even: nothing is left but noise.
-    assert np.abs(found.off_line_mm).max() < 6 * found.sigma_displacements_mm.max()
+    assert np.abs(found.off_line_mm).max() < 5e-3
+
+
+def test_the_search_begins_where_the_glass_was_when_its_place_was_found() -> None:
+    world = _world()
+    model = model_of(world)
+    a, b, c = model.glass
+    views = _views(world, (40.0, -40.0, 0.0))
+    for at_mm in (-300.0, -80.0, 0.0, 150.0):
+        found = fit_stage_axis(views, model.frame.camera_mm, (a, b, c + at_mm), at_mm)
+        assert np.abs(found.axis[:2] - model.stage_axis[:2]).max() < 5e-5
+        assert found.glass[2] == pytest.approx(c, abs=0.05)
 
 
 def test_fringes_along_x_alone_leave_the_direction_along_y_open() -> None:

@@ -9,6 +9,7 @@ from scipy import ndimage
 from irpmd_rig.core import find_facets
 from irpmd_rig.core.reconstruction.facet_estimate import Doubts, estimate_surfaces
 from irpmd_rig.core.reconstruction.freeform import Polynomial, spline_over
+from irpmd_rig.core.reconstruction.triangulation import triangulate
 from tests.core.seen_objects import DEPTH_SIGMA_MM, SIGMA_RAD, seen
 
 PLACES = np.random.default_rng(0).uniform((-0.2, -0.1), (0.1, 0.2), (3000, 2))
@@ -108,14 +109,17 @@ def blurred(phase, sigma_px):
     return np.where(known, phase + turned, np.nan)
 
 
+def blurred_views(shown, psf_px):
+    views = shown.views_with(0.0, 0)
+    along_x, along_y = (
+        tuple(blurred(phase, psf_px) for phase in phases) for phases in (views.phases_rad, views.phases_y_rad)
+    )
+    return replace(views, phases_rad=along_x, phases_y_rad=along_y)
+
+
 def test_the_bias_of_blur_on_curved_mirrors_is_taken_out(mirrors):
     psf_px = 0.7
-    views = mirrors.views_with(0.0, 0)
-    views = replace(
-        views,
-        phases_rad=tuple(blurred(phase, psf_px) for phase in views.phases_rad),
-        phases_y_rad=tuple(blurred(phase, psf_px) for phase in views.phases_y_rad),
-    )
+    views = blurred_views(mirrors, psf_px)
     depth = mirrors.depth_with(0.0, 0)
     facets = find_facets(depth.depth_mm)
     plain, corrected = (
@@ -123,3 +127,19 @@ def test_the_bias_of_blur_on_curved_mirrors_is_taken_out(mirrors):
         for doubts in (Doubts(chi2_limit=np.inf), Doubts(chi2_limit=np.inf, psf_px=psf_px))
     )
     assert np.abs(corrected).max() < 0.2 * np.abs(plain).max()
+
+
+def test_the_bias_of_blur_is_taken_out_of_the_triangulated_piston_too():
+    shown, psf_px = seen("freeform", size_px=1024, with_y=True), 0.7
+    views = blurred_views(shown, psf_px)
+    depth = triangulate(views, shown.model)
+    facets = find_facets(depth.depth_mm)
+    # A limit that nothing keeps: the model is taken to be off.
+    plain, corrected = (
+        estimate_surfaces(views, depth, facets, shown.model, doubts)
+        for doubts in (Doubts(chi2_limit=0.0), Doubts(chi2_limit=0.0, psf_px=psf_px))
+    )
+    assert plain.piston == corrected.piston == "triangulation"
+    before, after = (np.abs(errors_mm(shown, estimate)[0]).max() for estimate in (plain, corrected))
+    assert before > 5e-3
+    assert after < 0.5 * before

@@ -23,6 +23,15 @@ def test_the_place_on_the_glass_is_met_to_a_tenth_of_a_nanometre(name, axis):
         assert np.abs(found - along).max() < within_mm
 
 
+@pytest.mark.parametrize("name", ["misaligned", "turned", "mirrored"])
+def test_the_coarse_map_is_met_to_micrometres(name):
+    glass = tabulate(rig_of(world_of(name), 64))
+    rng = np.random.default_rng(0)
+    phase, across = (middle + half * rng.uniform(-1, 1, 2000) for middle, half in (glass.along_rad, glass.across_mm))
+    fine, coarse = (glass.value(coefficients, phase, across) for coefficients in (glass.place_mm, glass.coarse_mm))
+    assert np.abs(coarse - fine).max() < 5e-3
+
+
 def test_powers_of_chebyshev_polynomials():
     coefficients = np.random.default_rng(1).normal(size=(4, 6))
     x, y = np.linspace(-1, 1, 7), np.linspace(-0.5, 1, 7)

@@ -1,15 +1,13 @@
-"""Filters that stay inside a facet, and the bias of the camera's blur."""
+"""Filters that stay inside a facet."""
 
-import cv2
 import numpy as np
 import pytest
 
 from irpmd_rig.core.reconstruction.local_fit import local_fit
-from irpmd_rig.core.reconstruction.phase_filter import blur_bias, filter_phase, remove_blur_bias
+from irpmd_rig.core.reconstruction.phase_filter import filter_phase
 from irpmd_rig.core.reconstruction.smooth_regions import smooth_regions
-from irpmd_rig.core.reconstruction.triangulation import rig_tables, triangulate
 from irpmd_rig.core.reconstruction.views import Views
-from tests.core.reconstruction.traced_views import SIGMA_RAD, rig_of, seen, world_of
+from tests.core.reconstruction.traced_views import SIGMA_RAD, seen, world_of
 
 SIZE_PX = 256
 
@@ -76,43 +74,3 @@ def test_a_region_too_narrow_for_a_surface_has_none():
     regions[:, 10:12] = 1
     assert np.isnan(local_fit(u, v, u, regions, 3).value).all()
     assert np.isnan(local_fit(u, v, u, np.zeros_like(regions), 3).value).all()
-
-
-def test_the_bias_is_that_of_a_blurred_quadratic_phase():
-    v, u = np.mgrid[-30:31.0, -30:31.0]
-    psf_px = 0.9
-    phase = 0.4 * u - 0.2 * v + 0.5 * (0.03 * u**2 - 0.02 * u * v + 0.015 * v**2)
-    # The picture's light, finely sampled, blurred: brute force.
-    step = np.linspace(-6, 6, 241)
-    weight = np.exp(-0.5 * (step / psf_px) ** 2)
-    du, dv = np.meshgrid(step, step)
-    there = 0.4 * du - 0.2 * dv + 0.5 * (0.03 * du**2 - 0.02 * du * dv + 0.015 * dv**2)
-    true = np.angle((np.outer(weight, weight) * np.exp(1j * there)).sum())
-    fit = local_fit(u, v, phase, np.ones(u.shape, np.int32), 5)
-    assert abs(true) > 0.005
-    assert blur_bias(fit, psf_px)[30, 30] == pytest.approx(true, abs=1e-9)
-
-
-def test_a_blurred_sphere_comes_back_to_its_place():
-    size_px, psf_px = 1024, 0.7
-    world = world_of("misaligned")
-    scene = seen(world, "freeform", (0.0, 40.0), size_px)
-    rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(np.isfinite(scene.depth_mm)))
-    blurred = []
-    for phase in scene.views.phases_rad:
-        light = np.where(np.isfinite(phase), np.exp(1j * np.nan_to_num(phase)), np.nan)
-        real, imaginary = (cv2.GaussianBlur(part, (0, 0), psf_px) for part in (light.real.copy(), light.imag.copy()))
-        shift = np.angle((real + 1j * imaginary) * np.exp(-1j * phase))
-        blurred.append((phase + shift)[rows, columns])
-    sigmas = tuple(np.full(phase.shape, SIGMA_RAD) for phase in blurred)
-    views = Views((0.0, 40.0), tuple(blurred), sigmas, (rows, columns))
-    tables = rig_tables(rig_of(world, size_px), np.float64)
-
-    def piston_um(seen_views):
-        depth = triangulate(seen_views, tables.model, tables=tables, slope_rounds=3).depth_mm
-        sphere = (scene.facet[rows, columns] == 0) & np.isfinite(depth)
-        return 1e3 * float(np.median((depth - scene.depth_mm[rows, columns])[sphere]))
-
-    blurred_um, corrected_um = piston_um(views), piston_um(remove_blur_bias(views, psf_px))
-    assert abs(blurred_um) > 5.0
-    assert abs(corrected_um) < 0.6

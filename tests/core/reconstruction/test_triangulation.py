@@ -225,3 +225,27 @@ def test_nothing_known_gives_nothing():
     depth = triangulate(Views((0.0, 40.0), (phase, phase), (phase, phase), np.s_[0:64, 0:64]), model)
     for values in (depth.depth_mm, depth.sigma_mm, depth.slope_x, depth.slope_y):
         assert np.isnan(values).all()
+
+
+@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_two_views_are_a_special_case_of_more(name, kind):
+    """A third view without light changes nothing: the kernel of two views does what the one of many does."""
+    world = world_of(name)
+    model = rig_of(world, SIZE_PX)
+    two = seen(world, "fan_y", (0.0, 40.0), SIZE_PX, sigma_rad=SIGMA_RAD, kind=kind).views
+    dark = np.full_like(two.phases_rad[0], np.nan)
+    three = Views((*two.positions_mm, 20.0), (*two.phases_rad, dark), (*two.sigmas_rad, two.sigmas_rad[0]), two.window)
+    one, other = (triangulate(views, model, slope_rounds=0) for views in (two, three))
+    apart_mm = 1e-6 if kind is np.float64 else 2e-3
+    np.testing.assert_allclose(one.depth_mm, other.depth_mm, rtol=0, atol=apart_mm)
+    np.testing.assert_allclose(one.sigma_mm, other.sigma_mm, rtol=1e-4)
+
+
+def test_the_slope_of_a_tilted_mirror_is_found_from_a_coarse_picture_as_from_a_fine_one():
+    world = world_of("turned")
+    for size_px in (160, 320):
+        scene = seen(world, "mirror_step_tilted", (0.0, 40.0), size_px)
+        found = triangulate(scene.views, rig_of(world, size_px))
+        inside = np.isfinite(found.slope_y) & np.isfinite(scene.slope_y)
+        assert np.median(np.abs(found.slope_y - scene.slope_y)[inside]) < 2e-5

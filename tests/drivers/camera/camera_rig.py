@@ -21,8 +21,8 @@ def picture(bits: int):
 class Rig:
     """One simulated camera, served; and what a test needs of both ends."""
 
-    def __init__(self, folder: Path, **twin: object) -> None:
-        self.clock = Clock()
+    def __init__(self, folder: Path, time_scale: float = 1.0, **twin: object) -> None:
+        self.clock = Clock(time_scale)
         self.twin = CameraTwin(
             lambda _start_s, _exposure_us, bits: picture(bits),
             self.clock,

@@ -17,6 +17,8 @@ from sims.projector.sequence_file import Sequence, batch_file
 from sims.projector.usb_bus import UsbBus
 
 BACKEND = "sims.projector.usb_backend:get_backend"
+# Of one transfer, which takes milliseconds; short because some tests wait for it, long enough for a busy machine.
+TIMEOUT_S = 0.8
 
 
 @pytest.fixture
@@ -65,7 +67,7 @@ def light_on(bus: UsbBus, compiled: Callable[..., str]) -> Iterator[Callable[...
             "profile": "lightcommander-sim",
             "backend": BACKEND,
             "backend_argument": str(bus.socket_path),
-            "timeout_s": 0.3,
+            "timeout_s": TIMEOUT_S,
             "sequences": sequences or (compiled(20_000, 25_000),),
         }
         driver = make("projector", "lightcommander", "projector1", values | settings)
@@ -108,7 +110,7 @@ def flash_on(bus: UsbBus) -> Iterator[Callable[..., Dlpc350]]:
             "led_driver_inverts": False,
             "backend": BACKEND,
             "backend_argument": str(bus.socket_path),
-            "timeout_s": 0.3,
+            "timeout_s": TIMEOUT_S,
         }
         driver = make("projector", "dlpc350", "projector1", values | settings)
         assert isinstance(driver, Dlpc350)

@@ -2,7 +2,6 @@
 
 import shutil
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,6 +14,7 @@ from drivers.protocols import Led, PatternSequence, ProjectorCondition, SyncOutp
 from sims.clock import Clock
 from sims.projector import dlpc350, lightcommander
 from sims.projector.usb_bus import UsbBus
+from tests.small_world import until
 
 DELAY_S = 0.1
 
@@ -90,8 +90,7 @@ def test_lightcommander(picture: Picture, bus: UsbBus, clock: Clock, light_on: C
     driver.order(PatternSequence((0, 1), exposure_us=100_000))
     driver.run_once()
     assert driver.status().condition is ProjectorCondition.RUNNING
-    time.sleep(0.5)
-    assert driver.status().condition is ProjectorCondition.DARK
+    until(lambda: driver.status().condition is ProjectorCondition.DARK)
     shows(driver, box, images)
     # The window may die, and the light is turned off by USB all the same.
     driver._screen._child._process.kill()

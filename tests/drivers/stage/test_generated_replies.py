@@ -58,6 +58,6 @@ def test_a_session_with_wild_answers_stays_typed_and_bounded(
             operation()
         except InstrumentError as error:
             assert error.device == "stage1" and error.remedy  # noqa: PT017, PT018 - no error is a success, too
-        assert time.monotonic() - began_s < 8.0
+        assert time.monotonic() - began_s < 60.0
     stage.close()
     peer.end()

@@ -1,5 +1,6 @@
 """One line: found or not, shared, lost, and found again; nothing is left behind."""
 
+import gc
 import os
 import re
 import socket
@@ -18,13 +19,23 @@ from drivers.stage.dialect import Line
 from drivers.stage.engine import SerialStage
 from drivers.stage.port import Port, never
 from drivers.values import Position, StageCondition
+from tests.small_world import until
 
 Build = Callable[..., SerialStage]
 PeerAt = Callable[..., Peer]
 
+# Bounds of a second or less have ended by then on any machine; what hangs has not.
+HANG_S = 30.0
+
 
 def belongings() -> tuple[int, int]:
+    gc.collect()
     return threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+
+
+def no_more_than(before: tuple[int, int]) -> bool:
+    """Less is what an earlier test left, which ended meanwhile."""
+    return all(now <= then for now, then in zip(belongings(), before, strict=True))
 
 
 def test_the_line_has_the_dialect_s_settings(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
@@ -62,7 +73,7 @@ def test_a_wrong_port_says_what_mends_it(peer_at: PeerAt, stage_on: Build, gsc: 
         stage.open()
     assert caught.value.device == "stage1"
     assert remedy in caught.value.remedy
-    assert belongings() == before
+    until(lambda: no_more_than(before))
 
 
 def test_a_port_in_use_by_another_program_is_said(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
@@ -73,7 +84,9 @@ def test_a_port_in_use_by_another_program_is_said(peer_at: PeerAt, stage_on: Bui
     assert "another program" in caught.value.remedy
 
 
-def test_an_unplug_is_lost_at_once_and_a_replug_needs_a_zero_again(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
+def test_an_unplug_is_lost_at_once_and_a_replug_needs_a_zero_again(
+    peer_at: PeerAt, stage_on: Build, gsc: Gsc, monkeypatch: pytest.MonkeyPatch
+) -> None:
     peer = peer_at(gsc)
     stage = stage_on(peer, "gsc", reconnect_s=0.3)
     stage.home()
@@ -81,9 +94,10 @@ def test_an_unplug_is_lost_at_once_and_a_replug_needs_a_zero_again(peer_at: Peer
     peer.unplug()
     with pytest.raises(DeviceLost):
         stage.wait()
-    began_s = time.monotonic()
-    assert stage.state().condition == StageCondition.LOST
-    assert time.monotonic() - began_s < 0.2
+    with monkeypatch.context() as patch:
+        # Nobody is kept waiting.
+        patch.setattr("drivers.stage.port.time.sleep", pytest.fail)
+        assert stage.state().condition == StageCondition.LOST
     with pytest.raises(DeviceLost, match="gone"):
         stage.home()
     with pytest.raises(DeviceLost):
@@ -122,7 +136,7 @@ def test_unplugs_leave_no_descriptor_and_no_thread(peer_at: PeerAt, stage_on: Bu
             stage.home()
         stage.close()
         peer.plug()
-    assert belongings() == before
+    until(lambda: no_more_than(before))
 
 
 def test_a_stage_on_a_socket_moves_and_comes_back(peer_at: PeerAt, stage_on: Build, gsc: Gsc) -> None:
@@ -183,7 +197,7 @@ def test_a_socket_whose_peer_floods_is_opened_and_closed_within_a_bound(stage_on
     try:
         with pytest.raises(InstrumentError):
             stage.open()
-        assert time.monotonic() - began_s < 3.0
+        assert time.monotonic() - began_s < HANG_S
     finally:
         over.set()
         flooding.join()
@@ -277,7 +291,7 @@ def test_a_peer_that_takes_no_bytes_ends_in_a_time_out() -> None:
         began_s = time.monotonic()
         with pytest.raises(TimedOut, match="takes no bytes"):
             port.send("stage1", b"x" * 1_000_000, pause_s=0.0, cancelled=never)
-        assert time.monotonic() - began_s < 3.0
+        assert time.monotonic() - began_s < HANG_S
     finally:
         port.close()
         os.close(master)

@@ -34,7 +34,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CameraServer]:
 def connected(server: CameraServer) -> Iterator[socket.socket]:
     folder = os.open(server.cti.parent, os.O_PATH)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(5)
+        connection.settimeout(30)
         connection.connect(f"/proc/self/fd/{folder}/{server.cti.name}.sock")
         os.close(folder)
         yield connection

@@ -14,6 +14,7 @@ from sims.camera import CameraSettings, CameraTwin, SensorTiming
 from sims.camera.acquisition import Frame
 from sims.camera.wire import Refusal, Status
 from sims.clock import Clock
+from tests.small_world import until
 
 SIZE_PX = (64, 48)
 READOUT_S = SensorTiming().readout_s(SIZE_PX[1])
@@ -58,7 +59,7 @@ class Bench:
             self.arrived.notify_all()
         return True
 
-    def wait_for(self, frames: int, seconds: float = 5.0) -> list[int]:
+    def wait_for(self, frames: int, seconds: float = 30.0) -> list[int]:
         with self.arrived:
             assert self.arrived.wait_for(lambda: len(self.frames) >= frames, seconds), self.camera.counters
             return [frame.frame_id for frame, _ in self.frames]
@@ -103,7 +104,7 @@ def bench(make: Callable[..., Bench]) -> Bench:
 def test_free_running_frames_keep_the_sensors_period(bench: Bench) -> None:
     bench.set("ExposureTime", 100)
     bench.do("AcquisitionStart")
-    assert bench.wait_for(5) == [0, 1, 2, 3, 4]
+    assert bench.wait_for(5)[:5] == [0, 1, 2, 3, 4]
     starts = [frame.start_s for frame, _ in bench.frames[:5]]
     periods = np.diff(starts)
     # A late thread may make the simulation skip ahead, never make it faster.
@@ -116,9 +117,9 @@ def test_an_acquisition_ends_by_itself(bench: Bench, mode: str, frames: int) -> 
     bench.set("AcquisitionFrameCount", 3)
     bench.do("AcquisitionStart")
     assert bench.wait_for(frames) == list(range(frames))
+    until(lambda: not bench.camera.acquiring)
     time.sleep(0.02)
     assert len(bench.frames) == frames
-    assert not bench.camera.acquiring
 
 
 def test_a_software_trigger_takes_one_frame(bench: Bench) -> None:
@@ -180,9 +181,11 @@ def test_a_burst_is_several_frames_for_one_trigger(bench: Bench) -> None:
 def test_triggers_do_not_outlive_their_acquisition(bench: Bench) -> None:
     bench.trigger_by("Line1")
     bench.do("AcquisitionStart")
-    bench.camera.trigger(bench.clock.now() + 0.05)
+    edge_s = bench.clock.now() + 0.5
+    bench.camera.trigger(edge_s)
     bench.do("AcquisitionStop", "AcquisitionStart")
-    time.sleep(0.1)
+    assert bench.clock.now() < edge_s, "the machine was held up for too long to tell"
+    time.sleep(0.6)
     assert bench.frames == []
 
 
@@ -396,8 +399,9 @@ def test_without_pace_frames_come_as_fast_as_they_are_taken(make: Callable[..., 
     bench = make(settings=CameraSettings(size_px=SIZE_PX, paced=False))
     bench.set("ExposureTime", 1_000_000)
     bench.do("AcquisitionStart")
-    bench.wait_for(20)
-    assert bench.clock.now() < 5
+    bench.wait_for(60)
+    # Of a second each.
+    assert bench.clock.now() < 30
 
 
 def test_a_faster_clock_makes_a_faster_camera(make: Callable[..., Bench]) -> None:
@@ -406,6 +410,7 @@ def test_a_faster_clock_makes_a_faster_camera(make: Callable[..., Bench]) -> Non
     bench.set("AcquisitionFrameRate", 1)
     begin = time.monotonic()
     bench.do("AcquisitionStart")
-    bench.wait_for(6)
-    assert time.monotonic() - begin < 2
+    bench.wait_for(61)
+    # A minute of its clock.
+    assert time.monotonic() - begin < 30
     assert np.diff([frame.start_s for frame, _ in bench.frames]).min() >= 1 - 1e-9

@@ -29,7 +29,7 @@ def opened(world: ServedWorld) -> Iterator[SimpleNamespace]:
     """All instruments, open, with both axes homed."""
     devices = SimpleNamespace(
         camera=world.camera(),
-        projector=world.projector(timeout_s=0.5),
+        projector=world.projector(timeout_s=1.0),
         stage1=world.stage("stage1", progress_timeout_s=0.5),
         stage2=world.stage("stage2", progress_timeout_s=0.5),
     )

@@ -25,22 +25,23 @@ from drivers.protocols import (
     TimedOut,
 )
 
-FRAME_LIMIT_S = 0.3
+FRAME_LIMIT_S = 1.0
 # Of one operation that fails: answer time-outs are half a second below, a line's is one.
-BOUND_S = 4.0
+# On any machine; what hangs takes longer.
+BOUND_S = 30.0
 ORDER = PatternSequence((0, 1, 2, 3), 8000.0)
 
 # Fault, its arguments, the error of the next operation, and what ends it.
 CAMERA = [
     ("frame_dropped", {}, FramesLost, None),
     ("frame_incomplete", {"share": 0.2}, IncompleteFrame, None),
-    ("frame_late", {"seconds": 20.0}, TimedOut, None),
+    ("frame_late", {"seconds": 40.0}, TimedOut, None),
     ("trigger_missed", {}, TimedOut, None),
     ("sync_missed", {}, TimedOut, None),
     ("camera_hang", {}, TimedOut, ("camera_recover", {})),
     ("camera_node_error", {}, DeviceFault, None),
     ("camera_node_error", {"node": "PixelFormat", "access": "read"}, DeviceFault, None),
-    ("camera_slow", {"seconds": 1.5}, TimedOut, ("camera_slow", {"seconds": 0.0})),
+    ("camera_slow", {"seconds": 3.0}, TimedOut, ("camera_slow", {"seconds": 0.0})),
     ("camera_unplug", {}, DeviceLost, ("camera_replug", {})),
 ]
 PROJECTOR = [
@@ -67,8 +68,8 @@ HARMLESS_TO_DRIVERS = {"camera_overheat", "camera_cool", "stage_lost_steps"}
 @pytest.fixture(scope="module")
 def rig(world: ServedWorld) -> Iterator[SimpleNamespace]:
     devices = SimpleNamespace(
-        camera=world.camera(answer_timeout_s=0.7),
-        projector=world.projector(timeout_s=0.3),
+        camera=world.camera(answer_timeout_s=1.5),
+        projector=world.projector(timeout_s=1.0),
         stage=world.stage("stage1", progress_timeout_s=0.3, reconnect_s=0.3),
     )
     try:
@@ -98,10 +99,10 @@ def burst(rig: SimpleNamespace) -> list[int]:
     finally:
         rig.camera.stop()
         # The rest of the pass must not trigger the next burst.
-        time.sleep(0.02)
+        time.sleep(0.1)
 
 
-def eventually(operation: Callable[[], Any], within_s: float = 5.0) -> Any:
+def eventually(operation: Callable[[], Any], within_s: float = 30.0) -> Any:
     give_up_s = time.monotonic() + within_s
     while True:
         try:
@@ -197,7 +198,7 @@ def test_random_faults_come_while_it_runs_and_end_when_they_are_switched_off(
 ) -> None:
     before = len(world("injected")["injected"])
     world("faults", seed=3, rate_per_s=5.0, names=["camera_unplug", "stage_unplug", "projector_unplug"])
-    deadline_s = time.monotonic() + 5
+    deadline_s = time.monotonic() + 30
     while len(world("injected")["injected"]) < before + 8:
         assert time.monotonic() < deadline_s
         time.sleep(0.05)

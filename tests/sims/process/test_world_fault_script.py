@@ -73,7 +73,7 @@ def test_a_script_file_is_carried_out_and_what_lasts_ends_with_it(
     script.start(read_script(path, faults))
     while len(faults.injected) < 4:
         instruments.clock.sleep(0.1)
-        assert instruments.clock.now() - start_s < 1000
+        assert instruments.clock.now() - start_s < 6000
     assert [entry.name for entry in faults.injected] == [
         "camera_unplug",
         "stage_mute",

@@ -14,7 +14,7 @@ from world_client import WORLD, Refusal, ServedWorld, ask
 
 from sims.__main__ import app
 
-ENDS_WITHIN_S = 5.0
+ENDS_WITHIN_S = 15.0
 SMALL = ("--size-px", "128")
 
 
@@ -87,7 +87,7 @@ def test_a_wrong_call_is_refused_and_says_why(
 )
 def test_garbage_on_the_control_line_is_answered(world: ServedWorld, request_: bytes) -> None:
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(5)
+        connection.settimeout(30)
         connection.connect(str(world.folder / "control.sock"))
         connection.sendall(request_)
         assert connection.makefile("rb").readline().startswith(b'{"ok": false, "error": "')
@@ -215,7 +215,7 @@ def test_no_thread_or_descriptor_stays_of_clients_that_left(world: ServedWorld) 
     before = count()
     use()
     use()
-    deadline_s = time.monotonic() + 3
+    deadline_s = time.monotonic() + 30
     while count() > before and time.monotonic() < deadline_s:
         time.sleep(0.05)
     assert count() <= before

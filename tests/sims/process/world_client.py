@@ -23,7 +23,7 @@ class Refusal(Exception):
 def ask(folder: Path, call: str, **arguments: Any) -> dict[str, Any]:
     """Make one call over the control line."""
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(20)
+        connection.settimeout(60)
         connection.connect(str(folder / "control.sock"))
         connection.sendall(json.dumps({"call": call, **arguments}).encode() + b"\n")
         with connection.makefile("rb") as reader:
@@ -62,7 +62,7 @@ class ServedWorld:
 
     def end(self) -> tuple[int, str]:
         """Close its standard input and wait; returns exit status and standard error."""
-        _, errors = self.process.communicate(timeout=20)
+        _, errors = self.process.communicate(timeout=60)
         return self.process.returncode, errors
 
     def kill(self) -> None:

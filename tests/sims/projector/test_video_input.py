@@ -1,6 +1,7 @@
 """A virtual screen taken as a projector's video input, drawn on by a plain X client."""
 
 import contextlib
+import os
 import shutil
 import subprocess
 import threading
@@ -18,7 +19,9 @@ from sims.clock import Clock
 from sims.errors import SimulationError
 from sims.projector.player import NOTHING, Shown
 from sims.projector.video_input import VideoProjector, grey
+from tests.small_world import until
 
+DELAY_S = 0.2
 PATTERN = np.tile(np.arange(1024) // 4, (768, 1)).astype(np.uint8)
 
 
@@ -70,7 +73,7 @@ class Window:
 
 def wait_for(projector: VideoProjector, image: np.ndarray) -> float:
     """Return the time at which the projector is first seen to show an image."""
-    give_up_s = time.monotonic() + 5
+    give_up_s = time.monotonic() + 30
     while time.monotonic() < give_up_s:
         shown = projector.showing()
         if shown.image is not None and np.array_equal(shown.image, image):
@@ -81,20 +84,25 @@ def wait_for(projector: VideoProjector, image: np.ndarray) -> float:
 
 def test_a_window_is_projected_after_the_delay(display: str) -> None:
     clock = Clock()
-    projector = VideoProjector(clock, display, delay_s=0.2)
+    projector = VideoProjector(clock, display, delay_s=DELAY_S)
     window = Window(display)
     projector.set_light("infrared", 0.4)
     window.draw(PATTERN)
     wait_for(projector, PATTERN)
+    begun_s = clock.now()
     window.draw(255 - PATTERN)
-    drawn_s = time.monotonic()
-    delay_s = wait_for(projector, 255 - PATTERN) - drawn_s
-    assert 0.19 <= delay_s < 0.5
+    drawn_s = clock.now()
+    wait_for(projector, 255 - PATTERN)
+    seen_s = clock.now()
+    # It came no sooner than the delay allows.
+    assert seen_s - begun_s >= DELAY_S
     assert projector.showing()[1:] == ("infrared", 0.4)
-    now_s = clock.now()
-    images = [shown.image for _, _, shown in projector.intervals(now_s - delay_s - 0.1, now_s)]
-    assert any(np.array_equal(image, PATTERN) for image in images)
-    assert np.array_equal(images[-1], 255 - PATTERN)
+    # It is told when: the last that shows the picture of before ends between the drawing and the seeing.
+    told = list(projector.intervals(begun_s, seen_s))
+    before = [end_s for _, end_s, shown in told if np.array_equal(shown.image, PATTERN)]
+    assert begun_s + DELAY_S <= before[-1] <= seen_s
+    assert before[-1] - drawn_s < 10 * DELAY_S
+    assert np.array_equal(told[-1][2].image, 255 - PATTERN)
     projector.set_light("infrared", 0)
     assert projector.showing() == NOTHING
     window.close()
@@ -125,7 +133,7 @@ def test_without_a_signal_the_picture_is_black(display: str) -> None:
     window.draw(PATTERN)
     wait_for(projector, PATTERN)
     projector.faults.no_signal = True
-    time.sleep(0.1)
+    until(lambda: projector.showing().image is None)
     assert projector.showing() == Shown(None, "red", 0.5)
     projector.faults.no_signal = False
     wait_for(projector, PATTERN)
@@ -134,10 +142,12 @@ def test_without_a_signal_the_picture_is_black(display: str) -> None:
 
 
 def test_a_screen_that_goes_away_is_black_until_it_is_back() -> None:
-    with virtual_screen() as display:
+    # A number that no other test is given: it is wanted again.
+    number = f":{1000 + os.getpid() % 30_000}"
+    with virtual_screen(number) as display:
         VideoProjector(Clock(), display).close()
     before = count()
-    with virtual_screen() as display:
+    with virtual_screen(number) as display:
         projector = VideoProjector(Clock(), display, delay_s=0)
         projector.set_light("red", 0.5)
         window = Window(display)
@@ -145,8 +155,7 @@ def test_a_screen_that_goes_away_is_black_until_it_is_back() -> None:
         wait_for(projector, PATTERN)
         with contextlib.suppress(ConnectionClosedError):
             window.close()
-    time.sleep(0.2)
-    assert projector.showing().image is None
+    until(lambda: projector.showing().image is None)
     with virtual_screen(display) as display_again:
         assert display_again == display
         window = Window(display)

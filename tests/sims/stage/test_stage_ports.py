@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,6 +18,7 @@ import serial
 
 from sims.clock import Clock
 from sims.stage import AxisSettings, Gcd0301m, Gcd040101m, Gsc, StageTwin
+from tests.small_world import until
 
 TIME_SCALE = 20.0
 AXES = {1: AxisSettings(start_mm=100, ringing_um=0, backlash_um=0, noise_um=0)}
@@ -46,7 +48,7 @@ def wait_ready(port: serial.Serial) -> None:
 
 
 def test_a_plain_client_moves_the_stage(stage: StageTwin, link: Path) -> None:
-    with serial.Serial(str(link), 9600, timeout=2) as port:
+    with serial.Serial(str(link), 9600, timeout=20) as port:
         assert ask(port, b"A:1+P5000") == b"OK\r\n"
         assert ask(port, b"G:") == b"OK\r\n"
         wait_ready(port)
@@ -55,14 +57,15 @@ def test_a_plain_client_moves_the_stage(stage: StageTwin, link: Path) -> None:
 
 
 def test_a_write_only_controller_obeys_and_stays_silent(link: Path) -> None:
-    twin = StageTwin(AXES, Gcd0301m, Clock(TIME_SCALE), link=link)
+    # Frames that a held-up thread reads at once count all the same.
+    twin = StageTwin(AXES, partial(Gcd0301m, shortest_gap_s=0.0), Clock(TIME_SCALE), link=link)
     twin.start()
     with serial.Serial(str(link), 19200, timeout=0.05) as port:
         for frame in (b"@1D01\r\n", b"@1SEF\r\n", b"@1P000003E8\r\n", b"@0G\r\n"):
             port.write(frame)
             assert port.read(1) == b""
-        time.sleep(0.05)
-    assert twin.position_mm(1) == pytest.approx(101.0)
+        until(lambda: twin.position_mm(1) == pytest.approx(101.0))
+        assert port.read(1) == b""
     twin.close()
 
 
@@ -75,21 +78,21 @@ def test_a_write_only_controller_obeys_and_stays_silent(link: Path) -> None:
 def test_a_wrong_line_setting_is_not_understood(link: Path, wrong: dict[str, object]) -> None:
     with serial.Serial(str(link), **({"baudrate": 9600, "timeout": 0.1} | wrong)) as port:
         assert ask(port, b"!:") == b""
-    with serial.Serial(str(link), 9600, timeout=2) as port:
+    with serial.Serial(str(link), 9600, timeout=20) as port:
         assert ask(port, b"!:") == b"R\r\n"
 
 
 def test_a_wrong_baud_rate_may_also_read_as_garbage(link: Path) -> None:
     twin = StageTwin(AXES, Gcd040101m, Clock(), link=link, wrong_line="garbage")
     twin.start()
-    with serial.Serial(str(link), 19200, timeout=0.5) as port:
+    with serial.Serial(str(link), 19200, timeout=3) as port:
         port.write(b"!:\r\n")
         assert port.read(4) not in (b"", b"!:\r\n")
     twin.close()
 
 
 def test_unplugging_breaks_an_open_port_and_replugging_makes_a_new_one(stage: StageTwin, link: Path) -> None:
-    with serial.Serial(str(link), 9600, timeout=2) as port:
+    with serial.Serial(str(link), 9600, timeout=20) as port:
         assert ask(port, b"A:1+P1000") == b"OK\r\n"
         assert ask(port, b"G:") == b"OK\r\n"
         stage.faults.unplug()
@@ -101,23 +104,23 @@ def test_unplugging_breaks_an_open_port_and_replugging_makes_a_new_one(stage: St
     assert not stage.plugged
     time.sleep(0.1)
     stage.faults.replug()
-    with serial.Serial(str(link), 9600, timeout=2) as port:
+    with serial.Serial(str(link), 9600, timeout=20) as port:
         wait_ready(port)
         assert ask(port, b"Q:") == b"      1000,K,K,R\r\n"
 
 
 def test_unplugging_ends_a_read_that_waits(stage: StageTwin, link: Path) -> None:
-    with serial.Serial(str(link), 9600, timeout=20) as port:
+    with serial.Serial(str(link), 9600, timeout=100) as port:
         threading.Timer(0.1, stage.faults.unplug).start()
         begun_s = time.monotonic()
         with pytest.raises(serial.SerialException):
             port.read(1)
-        assert time.monotonic() - begun_s < 5
+        assert time.monotonic() - begun_s < 30
 
 
 def test_replies_can_be_garbled_cut_muted_slow_or_endless(stage: StageTwin, link: Path) -> None:
     line = stage.faults.line
-    with serial.Serial(str(link), 9600, timeout=0.3) as port:
+    with serial.Serial(str(link), 9600, timeout=1.5) as port:
         line.garble_next()
         port.write(b"!:\r\n")
         assert port.read(3) == bytes(b ^ 0x55 for b in b"R\r\n")
@@ -135,17 +138,16 @@ def test_replies_can_be_garbled_cut_muted_slow_or_endless(stage: StageTwin, link
         port.write(b"!:\r\n")
         assert len(port.read(500)) == 500
         line.endless = False
-        time.sleep(0.05)
+        time.sleep(0.5)
         port.reset_input_buffer()
         assert ask(port, b"!:") == b"R\r\n"
 
 
 def test_faults_of_a_move_reach_the_wire(stage: StageTwin, link: Path) -> None:
-    with serial.Serial(str(link), 9600, timeout=2) as port:
+    with serial.Serial(str(link), 9600, timeout=20) as port:
         stage.faults.stall_next_move(fraction=0.5)
         ask(port, b"A:1+P1000"), ask(port, b"G:")
-        time.sleep(0.05)
-        assert ask(port, b"Q:") == b"       500,K,K,B\r\n"
+        until(lambda: ask(port, b"Q:") == b"       500,K,K,B\r\n")
         assert ask(port, b"L:E") == b"OK\r\n"
         stage.faults.overshoot_next_move(by_mm=0.05)
         ask(port, b"A:1+P1000"), ask(port, b"G:")
@@ -166,20 +168,20 @@ def test_a_socket_serves_the_same_controller() -> None:
     twin = StageTwin(AXES, Gsc, Clock(TIME_SCALE), link=None)
     twin.start()
     url = twin.url
-    with serial.serial_for_url(url, timeout=2) as port:
+    with serial.serial_for_url(url, timeout=20) as port:
         assert ask(port, b"M:1+P100") == b"OK\r\n"
     # A bare socket: pyserial does not close its own if the other end went first.
     address = urlsplit(url)
-    with socket.create_connection((address.hostname, address.port), timeout=2) as client:
+    with socket.create_connection((address.hostname, address.port), timeout=20) as client:
         client.sendall(b"G:\r\n")
         assert client.recv(4) == b"OK\r\n"
         twin.faults.unplug()
         assert client.recv(4) == b""
     with pytest.raises(serial.SerialException):
-        serial.serial_for_url(url, timeout=2)
+        serial.serial_for_url(url, timeout=20)
     twin.faults.replug()
     assert twin.url == url
-    with serial.serial_for_url(url, timeout=2) as port:
+    with serial.serial_for_url(url, timeout=20) as port:
         wait_ready(port)
     twin.close()
 
@@ -193,7 +195,7 @@ def test_nothing_stays_behind(tmp_path: Path) -> None:
         for link in (tmp_path / name, None):
             twin = StageTwin(AXES, Gsc, Clock(), link=link)
             twin.start()
-            with serial.serial_for_url(twin.url, timeout=2) as port:
+            with serial.serial_for_url(twin.url, timeout=20) as port:
                 assert ask(port, b"!:") == b"R\r\n"
             twin.faults.unplug()
             twin.faults.replug()
@@ -215,7 +217,7 @@ def test_a_port_of_a_killed_world_leads_nowhere(link: Path) -> None:
         try:
             assert world.stdout is not None
             assert world.stdout.readline() == b"there\n"
-            with serial.Serial(str(link), 9600, timeout=2, exclusive=True) as port:
+            with serial.Serial(str(link), 9600, timeout=20, exclusive=True) as port:
                 assert ask(port, b"!:") == b"R\r\n"
                 with pytest.raises(serial.SerialException, match="exclusively"):
                     serial.Serial(str(link), 9600, exclusive=True)
