@@ -186,7 +186,7 @@ SWEEPS = (
         "phase noise of a pixel (mrad)",
         "noise (mrad)",
         lambda taken: taken.phase_noise_mrad,
-        "The camera's read noise is 1 to 24 times that of the paper's camera, 13 electrons; reference and object are "
+        "The camera's read noise is 1 to 12 times that of the paper's camera, 13 electrons; reference and object are "
         "taken with it, the geometry is calibrated without.",
     ),
     Sweep(
