@@ -84,7 +84,7 @@ def measure_run(job: Job, optics: Optics) -> ProcessedRun:
     method, _ = job.chain.method
     first = _pixel_method(method)
     stations = _stations(job)
-    job.plan(len(stations) + 4 + len(job.chain.wishes.compare))
+    job.plan(len(stations) + 3 + len(job.chain.wishes.compare))
     run = _Run(job, optics, object_views(job, optics, stations))
     job.step("depth")
     depth = run.depth(first)
