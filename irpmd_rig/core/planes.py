@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from irpmd_rig.core.errors import CalibrationError
 
@@ -137,6 +137,6 @@ def correlation_inflation(rows: NDArray[np.intp], columns: NDArray[np.intp], res
         means = np.bincount(member, weights=residual) / size
         # The plane has taken three degrees of freedom from the block means.
         excess = float((means[full] ** 2 * size[full]).sum() / (count - 3) / variance)
-        if excess > stats.chi2.isf(_CHANCE, count - 3) / (count - 3):
+        if excess > special.chdtri(count - 3, _CHANCE) / (count - 3):
             factor = max(factor, excess)
     return factor

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from irpmd_rig.core.camera import rays_at
 from irpmd_rig.core.errors import EvaluationError, FramesError
@@ -355,7 +355,7 @@ def _disagreement(fitted: Sequence[_Fitted]) -> tuple[float, float]:
     size = np.sqrt(np.diag(covariance))
     pulls = differences / size
     chi2 = float(pulls @ np.linalg.solve(covariance / np.outer(size, size), pulls))
-    return chi2 / len(pulls), float(stats.chi2.isf(_CHANCE, len(pulls))) / len(pulls)
+    return chi2 / len(pulls), float(special.chdtri(len(pulls), _CHANCE)) / len(pulls)
 
 
 def _estimate(fitted: _Fitted, model: RigModel, doubts: Doubts, off: float | None) -> FacetEstimate:
