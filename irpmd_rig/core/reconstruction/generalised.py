@@ -40,8 +40,8 @@ def generalised_depth(views: Views, references: Views, model: RigModel, *, table
     Returns
     -------
     DepthMap
-        NaN as for `irpmd_rig.core.reconstruction.triangulation.triangulate`, and where the reference is unknown. No
-        slopes.
+        NaN as for `irpmd_rig.core.reconstruction.triangulation.triangulate`, where the reference is unknown, and where
+        the light would come from beyond the projector's picture. No slopes.
 
     Raises
     ------
@@ -78,6 +78,7 @@ def generalised_depth(views: Views, references: Views, model: RigModel, *, table
         variance = measured.variance(depth) + reference.variance(-depth)
         sigma = tables.along_x.mm_per_rad * np.sqrt(variance) / np.abs(turn)
         known = (np.abs(turn) > _LEAST_ANGLE) & (depth < measured.lowest) & (depth < model.frame.camera_mm[2])
+        known &= measured.lit & reference.lit
     known &= np.isfinite(depth) & np.isfinite(sigma)
     depth_mm, sigma_mm = (np.where(known, values, np.nan).astype(np.float32) for values in (depth, sigma))
     return DepthMap(depth_mm, sigma_mm)
@@ -102,7 +103,10 @@ class _Ray(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """x' = offset + rate z through the lit points, with the sums that give its variance for phases in rad."""
+    """x' = offset + rate z through the lit points, with the sums that give its variance for phases in rad.
+
+    `lit` says whether all of them lie in the projector's picture.
+    """
 
     offset: Array
     rate: Array
@@ -110,6 +114,7 @@ class _Line(NamedTuple):
     middle: Array
     spread: Array
     lowest: Array
+    lit: NDArray[np.bool_]
 
     def variance(self, z: Array) -> Array:
         return 1 / self.weight + (z - self.middle) ** 2 / self.spread
@@ -118,6 +123,7 @@ class _Line(NamedTuple):
 def _line(views: Views, tables: RigTables, ray: _Ray) -> _Line:
     model, glass = tables.model, tables.along_x
     weights, places, heights = [], [], []
+    lit = np.ones(views.shape, np.bool_)
     for position_mm, phase, sigma in zip(views.positions_mm, views.phases_rad, views.sigmas_rad, strict=True):
         shift = position_mm * model.stage_axis
         camera = model.frame.camera_mm
@@ -126,10 +132,14 @@ def _line(views: Views, tables: RigTables, ray: _Ray) -> _Line:
         known = np.isfinite(phase) & np.isfinite(sigma)
         # A smoothed reference may be given without noise.
         weights.append(np.where(known, 1 / np.maximum(sigma, 1e-6) ** 2, 0.0))
+        # Beyond the projector's picture the map is none; noise may point there while the rounds go on.
+        y = glass.within(y)
         x = _place(model, glass, np.where(known, phase, glass.along_rad[0]), y)
         height = model.glass_z_mm(x, y) - shift[2]
         # Once more with the height found: the glass is tilted.
-        y = y + ray.leave_y * (height - z)
+        sought = y + ray.leave_y * (height - z)
+        y = glass.within(sought)
+        lit &= (y == sought) | ~known
         x = _place(model, glass, np.where(known, phase, glass.along_rad[0]), y)
         heights.append(model.glass_z_mm(x, y) - shift[2])
         places.append(x - shift[0] - glass.shear * (y - shift[1]))
@@ -140,7 +150,7 @@ def _line(views: Views, tables: RigTables, ray: _Ray) -> _Line:
     rate = (w * (z - middle) * (x - mean)).sum(axis=0) / spread
     single = (w > 0).sum(axis=0) < 2
     lowest = np.where(w > 0, z, np.inf).min(axis=0)
-    return _Line(np.where(single, np.nan, mean - rate * middle), rate, weight, middle, spread, lowest)
+    return _Line(np.where(single, np.nan, mean - rate * middle), rate, weight, middle, spread, lowest, lit)
 
 
 def _place(model: RigModel, glass: GlassMap, phase_rad: NDArray[Any], y_mm: Array) -> Array:

@@ -59,6 +59,11 @@ class GlassMap:
         """Distance on the glass along the axis for a radian, in the middle of the picture."""
         return float(abs(self.place_mm[0, 1]) / self.along_rad[1])
 
+    def within(self, across_mm: Array) -> Array:
+        """Give the coordinate across, or the edge of the projector's picture where it lies beyond."""
+        middle, half = self.across_mm
+        return np.clip(across_mm, middle - half, middle + half)
+
     def value(self, coefficients: Array, phase_rad: Array, across_mm: Array) -> Array:
         """Value of `place_mm` or `lift`."""
         u = (phase_rad - self.along_rad[0]) / self.along_rad[1]

@@ -62,3 +62,17 @@ def test_a_reference_of_another_window_is_refused():
     part = cut(scene.views, slice(0, 32), slice(0, 64))
     with pytest.raises(FramesError, match="one window"):
         generalised_depth(part, scene.views, rig_of(world, 64))
+
+
+def test_phases_that_point_beyond_the_lit_glass_have_no_depth():
+    world = world_of("misaligned")
+    scene = seen(world, "mirror_step_y", (0.0, 40.0), SIZE_PX)
+    mirror = seen(world, "mirror", (0.0, 40.0), SIZE_PX)
+    rng = np.random.default_rng(1)
+    wild = rng.random((SIZE_PX, SIZE_PX)) < 0.05
+    phases = [np.where(wild, rng.uniform(0.0, 2 * np.pi * 64, wild.shape), phase) for phase in scene.views.phases_rad]
+    views = replace(scene.views, phases_rad=tuple(phases))
+    found = generalised_depth(views, mirror.views, rig_of(world, SIZE_PX))
+    true = np.isfinite(scene.depth_mm)
+    assert np.isnan(found.depth_mm[true & wild]).any()
+    assert np.nanmax(found.sigma_mm) < 1e3
