@@ -24,7 +24,7 @@ _LEAST_FILLED = 0.4
 # The smooth surface that takes the phase's bend out of a cell and shows outliers; it need not be exact.
 _DEGREE = 8
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
-_FIT_PIXELS = 20_000
+_FIT_PIXELS = 8_000
 _FEWEST_PIXELS = 10 * _TERMS
 _OUTLIER_SIGMAS = 5.0
 _ROUNDS = 2
@@ -94,13 +94,13 @@ def _region_cells(
     """Rows, columns, pixels, phases and sigmas of the cells of one region; None if it is too small."""
     if np.count_nonzero(mask) < _FEWEST_PIXELS:
         return None
+    window = _cell_window(mask, side)
+    mask, phase = mask[window], phase_rad[window]
     # Where a region is narrower than a cell too little of it is seen to tell its bend.
     wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8), borderValue=0)
-    known = (wide > 0) & np.isfinite(phase_rad)
+    known = (wide > 0) & np.isfinite(phase)
     if np.count_nonzero(known) < _FEWEST_PIXELS:
         return None
-    window = _cell_window(known, side)
-    known, phase = known[window], phase_rad[window]
     height, width = known.shape
     axes = np.linspace(-1, 1, height), np.linspace(-1, 1, width)
     # Across a narrow region a high degree would go wild between the pixels: what counts is how wide it is on average.
@@ -121,20 +121,20 @@ def _region_cells(
     v, u = mean(axes[0][:, None]), mean(axes[1][None, :])
     # The mean of the residual belongs to the mean pixel: what is bent of it over a cell is far below its noise.
     value = chebyshev.chebval2d(v, u, coefficients) + mean(residual)
-    variance = np.broadcast_to(np.square(sigma_rad, dtype=np.float64), mask.shape)[window]
+    variance = np.square(sigma_rad if np.ndim(sigma_rad) == 0 else np.asarray(sigma_rad)[window], dtype=np.float64)
     sigma = np.sqrt(mean(variance) / count[rows, columns])
     top, left = window[0].start, window[1].start
     pixel = np.stack([left + (u + 1) / 2 * (width - 1), top + (v + 1) / 2 * (height - 1)], axis=-1)
     return rows + top // side, columns + left // side, pixel, value, sigma
 
 
-def _cell_window(known: NDArray[np.bool_], side: int) -> tuple[slice, slice]:
-    """Bounding box of what is known, on the picture's grid of cells."""
+def _cell_window(region: NDArray[np.bool_], side: int) -> tuple[slice, slice]:
+    """Bounding box of a region, on the picture's grid of cells."""
     slices = []
     for axis in (1, 0):
-        places = np.nonzero(known.any(axis=axis))[0]
+        places = np.nonzero(region.any(axis=axis))[0]
         first = int(places[0]) // side * side
-        limit = known.shape[1 - axis] // side * side
+        limit = region.shape[1 - axis] // side * side
         slices.append(slice(first, min(limit, (int(places[-1]) // side + 1) * side)))
     return slices[0], slices[1]
 
