@@ -4,6 +4,7 @@ One group is left out, and said to be, where the machine does not allow it: what
 """
 
 import os
+import signal
 
 import pytest
 
@@ -12,6 +13,9 @@ from tests.own_file_system import why_not
 # As in the program itself (`irpmd_rig`), and before any test module loads numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# A shell starts what runs in the background deaf to Ctrl-C; the programs under test would inherit it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MOUNTS = "mounts: needs to mount a file system of its own; left out where the machine does not allow that"
 _left_out = pytest.StashKey[int]()
