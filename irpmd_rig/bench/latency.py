@@ -21,7 +21,7 @@ _KINDS: tuple[tuple[int, Method | None], ...] = ((8, None), (10, None), (8, "dep
 _MOVE_S = 2.0
 
 
-def run(size_px: int = 2048, repeats: int = 7) -> list[Row]:
+def run(size_px: int = 2048, repeats: int = 3) -> list[Row]:
     """Measure the time to the depth map by the default method, for frames of 8 and of 10 bits.
 
     Parameters

@@ -101,7 +101,10 @@ def object_views(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) 
     across = _along_y(job, optics, stations)
     job.release()
     positions, hidden = _glass(job, optics, stations, phases)
-    seen = np.add.reduce([np.isfinite(phase.phase_rad) for phase in phases], dtype=np.uint8) > 1
+    views = np.zeros(phases[0].phase_rad.shape, np.uint8)
+    for phase in phases:
+        views += np.isfinite(phase.phase_rad)
+    seen = views > 1
     if hidden is not None:
         seen &= ~hidden
     elif optics.references is not None:

@@ -39,13 +39,22 @@ def lit(white: NDArray[Any], black: NDArray[Any]) -> Mask:
 
 def grow(region: Mask) -> Mask:
     """A region with a rim added."""
-    return np.asarray(cv2.dilate(region.astype(np.uint8), _RIM), dtype=np.bool_)
+    grown = np.zeros_like(region)
+    box = bounding_box(region)
+    if box is not None:
+        around = tuple(slice(max(part.start - _EDGE_PX, 0), part.stop + _EDGE_PX) for part in box)
+        grown[around] = cv2.dilate(region[around].astype(np.uint8), _RIM)
+    return grown
 
 
 def shrink(region: Mask) -> Mask:
     """A region without its rim, where two surfaces share a pixel."""
-    # Outside the picture nothing is known: its edge is a rim, too.
-    return np.asarray(cv2.erode(region.astype(np.uint8), _RIM, borderValue=0), dtype=np.bool_)
+    shrunk = np.zeros_like(region)
+    box = bounding_box(region)
+    if box is not None:
+        # Outside the picture nothing is known: its edge is a rim, too.
+        shrunk[box] = cv2.erode(region[box].astype(np.uint8), _RIM, borderValue=0)
+    return shrunk
 
 
 def solid(region: Mask) -> Mask:
