@@ -25,7 +25,7 @@ from irpmd_rig.store.library import Library
 from irpmd_rig.store.store import Store
 
 INLINE = "recipe"
-# Results beside the frames: maps, points and pictures, as bytes a pixel of the camera.
+# Results beside the frames: maps and points, as bytes a pixel of the camera.
 _RESULT_BYTES = 64
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,8 +20,7 @@ from irpmd_rig.processing.archive import (
 )
 from irpmd_rig.processing.archive_rig import VARIATIONS, rig_content, variations_content
 from irpmd_rig.processing.calibrate import damaged_calibration, glass_station, one_pattern, same_size, station_quality
-from irpmd_rig.processing.errors import FramesUnusable
-from irpmd_rig.processing.frames import FringeStation, check_along_y
+from irpmd_rig.processing.frames import FringeStation, at_same_positions, check_along_y
 from irpmd_rig.processing.glass import glass_outline
 from irpmd_rig.processing.job import Job
 from irpmd_rig.processing.phases import StationPhase
@@ -107,22 +105,6 @@ def _seen(job: Job, stations: tuple[FringeStation, ...]) -> _Seen:
         across = tuple(job.phase(station, take=True) for station in along_y)
     job.release()
     return _Seen(stations, tuple(phases), across, sprayed, tuple(glass), tuple(quality))
-
-
-def at_same_positions(
-    stations: Sequence[FringeStation], others: Sequence[FringeStation], window_mm: float
-) -> tuple[FringeStation, ...]:
-    """Of other stations, the one that is nearest to each; raises FramesUnusable if it is beside its position."""
-    nearest = []
-    for station in stations:
-        found = min(others, key=lambda other: abs(other.stage1_mm - station.stage1_mm))
-        if abs(found.stage1_mm - station.stage1_mm) > window_mm + 1e-9:
-            raise FramesUnusable(
-                f"there are no fringes along y at {station.stage1_mm:g} mm: the nearest are at {found.stage1_mm:g} mm",
-                "measure again, or complete the folder",
-            )
-        nearest.append(found)
-    return tuple(nearest)
 
 
 def _geometry(job: Job, camera: CameraResult, relation: PlateRelation, seen: _Seen) -> RigGeometry:

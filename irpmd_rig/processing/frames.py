@@ -95,6 +95,22 @@ def fringe_stations(
     return tuple(_station(number, [e for e in wanted if e.station == number], label) for number in numbers)
 
 
+def at_same_positions(
+    stations: Sequence[FringeStation], others: Sequence[FringeStation], window_mm: float
+) -> tuple[FringeStation, ...]:
+    """Of other stations, the one that is nearest to each; raises FramesUnusable if it is beside its position."""
+    nearest = []
+    for station in stations:
+        found = min(others, key=lambda other: abs(other.stage1_mm - station.stage1_mm))
+        if abs(found.stage1_mm - station.stage1_mm) > window_mm + 1e-9:
+            raise FramesUnusable(
+                f"there are no fringes along y at {station.stage1_mm:g} mm: the nearest are at {found.stage1_mm:g} mm",
+                "measure again, or complete the folder",
+            )
+        nearest.append(found)
+    return tuple(nearest)
+
+
 def check_along_y(stations: Sequence[FringeStation], across: Sequence[FringeStation]) -> None:
     """Check that fringes along y are as those along x: the phases of both are taken as equally fine and noisy.
 

@@ -135,7 +135,6 @@ def triangulated(optics: Optics, seen: ObjectViews) -> PixelDepth:
 
     def thin(tables: RigTables, positions_mm: tuple[float, ...], every: int) -> NDArray[np.float32]:
         few = replace(_thinned(views, every), positions_mm=positions_mm)
-        # Level across: of surfaces that are not, it is wrong before and after by the same.
         return triangulate(few, tables.model, tables=tables, slope_rounds=0).depth_mm
 
     return _by_the_model(rig, seen, maps, thin)
@@ -167,7 +166,7 @@ def generalised(optics: Optics, seen: ObjectViews, places: Sequence[int]) -> Pix
             # Another rig finds the reference's positions, too, from the glass: elsewhere by as much as the object's.
             moved = zip(there.positions_mm, positions_mm, views.positions_mm, strict=True)
             there = replace(there, positions_mm=tuple(at + other - own for at, other, own in moved))
-        return generalised_depth(few, there, tables.model, tables=tables).depth_mm
+        return generalised_depth(few, there, tables.model, tables=tables, slope_rounds=0).depth_mm
 
     return _by_the_model(rig, seen, maps, thin)
 
@@ -187,6 +186,8 @@ def _by_the_model(
 ) -> PixelDepth:
     positions = seen.true_mm
 
+    # `thin` takes surfaces for level along the fringes: few noisy pixels do not show their slope, and of surfaces that
+    # are not level the depth is wrong before and after by the same.
     def changes(facets: Facets) -> list[Change]:
         every = _thinning(facets)
         labels = facets.labels[::every, ::every]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from irpmd_rig.core.reconstruction.views import Views
 from irpmd_rig.core.rig_model import RigModel
-from irpmd_rig.processing.errors import FramesUnusable, ProcessingError
-from irpmd_rig.processing.frames import FringeStation, check_along_y
+from irpmd_rig.processing.errors import ProcessingError
+from irpmd_rig.processing.frames import FringeStation, at_same_positions, check_along_y
 from irpmd_rig.processing.glass import glass_mask
 from irpmd_rig.processing.job import Job
 from irpmd_rig.processing.optics import KnownRig, Optics
@@ -149,8 +149,6 @@ def _along_y(job: Job, optics: Optics, stations: tuple[FringeStation, ...]) -> t
     # A calibration from fringes along x does not know which row of the projector lights a point.
     if not job.has("object", "y") or (optics.rig is not None and not optics.rig.along_y):
         return None
-    across = job.stations("object", "y")
-    if [station.number for station in across] != [station.number for station in stations]:
-        raise FramesUnusable("fringes along y are not there at every position of those along x", "measure again")
+    across = at_same_positions(stations, job.stations("object", "y"), job.facts.stage1.in_position_mm)
     check_along_y(stations, across)
     return tuple(job.phase(station, take=True) for station in across)

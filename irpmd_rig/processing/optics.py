@@ -151,7 +151,7 @@ def _rig(chain: Chain, content: Content) -> KnownRig:
         model=model,
         variations=read_variations(chain.document("calibrate-geometry", VARIATIONS)),
         outline_mm=np.array(content["glass_outline_mm"], np.float64).reshape(-1, 2),
-        along_y=bool(content["along_y"]),
+        along_y=bool(content.get("along_y", False)),
         sprayed=np.asarray(chain.array("calibrate-geometry", "sprayed"), np.bool_),
         chi2_per_dof=float(content["chi2_per_dof"]),
         tables=rig_tables(model, np.float32),

@@ -25,9 +25,20 @@ def warm_up_methods() -> None:
     for phase in views.phases_rad:
         pattern_error(_COUNTS, _STEPS, model.projector.size_px[0]).remove(phase)
     triangulate(views, model)
-    # The kernel of more than two views, or of fringes along y.
+    # The kernel of more than two views, and of fringes along y.
+    triangulate(_thrice(views), model)
     triangulate(replace(views, phases_y_rad=views.phases_rad), model)
     equation_depth(views, views, d_mm=180.0)
+
+
+def _thrice(views: Views) -> Views:
+    """The same views, the last one once more."""
+    return replace(
+        views,
+        positions_mm=(*views.positions_mm, views.positions_mm[-1]),
+        phases_rad=(*views.phases_rad, views.phases_rad[-1]),
+        sigmas_rad=(*views.sigmas_rad, views.sigmas_rad[-1]),
+    )
 
 
 def _papers_rig() -> RigModel:

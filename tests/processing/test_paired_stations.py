@@ -2,9 +2,8 @@
 
 import pytest
 
-from irpmd_rig.processing.calibrate_geometry import at_same_positions
 from irpmd_rig.processing.errors import FramesUnusable
-from irpmd_rig.processing.frames import FringeStation
+from irpmd_rig.processing.frames import FringeStation, at_same_positions
 from irpmd_rig.store import ManifestEntry
 
 

@@ -143,6 +143,7 @@ def _found(cells: Cells, stage_mm: Array, unknowns: Unknowns) -> _Found:
     if _explained(bare_chi2, flexible, len(fuller) - len(unknowns)):
         return _Found(lit, fuller, flexible, spray_chi2)
     if _explained(glass_chi2, bare, len(STOOD_FOR)):
+        bare = fit_unknowns(glass, glass_mm, unknowns, bare.values)
         return _Found(glass, unknowns, bare, spray_chi2)
     return _Found(cells, unknowns, fit_unknowns(cells, stage_mm, unknowns, whole.values))
 

@@ -96,9 +96,12 @@ def _region_cells(
         return None
     window = _cell_window(mask, side)
     mask, phase = mask[window], phase_rad[window]
+    if mask.size == 0:
+        return None
     # Where a region is narrower than a cell too little of it is seen to tell its bend.
-    wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8), borderValue=0)
-    known = (wide > 0) & np.isfinite(phase)
+    cell = np.ones((side | 1, side | 1), np.uint8)
+    wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, cell, borderValue=0)
+    known = mask & (wide > 0) & np.isfinite(phase)
     if np.count_nonzero(known) < _FEWEST_PIXELS:
         return None
     height, width = known.shape

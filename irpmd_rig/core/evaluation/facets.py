@@ -15,8 +15,6 @@ from irpmd_rig.core.errors import EvaluationError, FramesError
 # Depth is compared over this many pixels: more than the optics blur, less than a facet.
 _REACH_PX = 4
 _EDGE_SIGMAS = 10.0
-# Where noise alone makes the change, this many lower quartiles are the same bound as so many sigmas beyond the median.
-_EDGE_QUARTILES = 9.7
 _BRIDGED_PX = 3  # half the widest line of unknown pixels over which a surface is taken to go on
 _NECK_PX = 2  # half the width of a bridge between facets that is cut
 _OUTLIER_SIGMAS = 6.0
@@ -86,8 +84,7 @@ def find_facets(
 
     Notes
     -----
-    An edge is where the median-filtered height changes over four pixels by ten times what it typically does, or does in
-    the calmest quarter of the map: of narrow treads most pixels are near an edge. Steps
+    An edge is where the median-filtered height changes over four pixels by ten times what it typically does; steps
     below about eight times the noise of a pixel are not seen. Lines and specks of unknown pixels up to 6 px wide
     do not part a surface that goes on behind them.
     """
@@ -159,7 +156,7 @@ def _continuity(
 def _typical_limit(change: NDArray[np.float32]) -> float:
     middle = float(np.median(change))
     spread = 1.4826 * float(np.median(np.abs(change - middle)))
-    return min(middle + _EDGE_SIGMAS * spread, _EDGE_QUARTILES * float(np.percentile(change, 25)))
+    return middle + _EDGE_SIGMAS * spread
 
 
 def _connected(smooth_region: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -23,7 +23,9 @@ _SLOPE_ROUNDS = (1, 3)
 _LEAST_ANGLE = 1e-3
 
 
-def generalised_depth(views: Views, references: Views, model: RigModel, *, tables: RigTables | None = None) -> DepthMap:
+def generalised_depth(
+    views: Views, references: Views, model: RigModel, *, tables: RigTables | None = None, slope_rounds: int = 2
+) -> DepthMap:
     """Depth from where on the glass the object and a plane reference mirror show their phases.
 
     Parameters
@@ -36,6 +38,8 @@ def generalised_depth(views: Views, references: Views, model: RigModel, *, table
         The calibrated rig. Of the camera only its rough directions enter, for the coordinate along the fringes.
     tables : RigTables, optional
         Of the same model, to save their computation.
+    slope_rounds : int
+        How often, at most twice, the slope along the fringes is taken from the depth; 0: the surface is level.
 
     Returns
     -------
@@ -72,7 +76,7 @@ def generalised_depth(views: Views, references: Views, model: RigModel, *, table
             turn = measured.rate + reference.rate
             depth = (reference.offset - measured.offset) / turn
             leave_x = measured.rate + tables.along_x.shear * leave_y
-            if number in _SLOPE_ROUNDS:
+            if number in _SLOPE_ROUNDS[:slope_rounds]:
                 slope = slope_across(depth, *tables.points_mm(depth, views.window), regions)
             leave_y = _reflected_across(leave_x, rays_x, rays_y, slope)
         variance = measured.variance(depth) + reference.variance(-depth)

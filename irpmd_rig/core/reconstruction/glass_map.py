@@ -21,6 +21,10 @@ DEGREE = 7
 
 _SAMPLES = 24
 _COARSE_DEGREE = 3
+# How far the projector's picture reaches across is no more than assumed where only fringes along x were calibrated;
+# much farther out the polynomials mean nothing.
+_REACH = 2.0
+_LOOKED_AT = 9
 _NEWTON_ROUNDS = 12
 _STEP_MM = 1e-3
 _SETTLED_MM = 1e-9
@@ -59,10 +63,17 @@ class GlassMap:
         """Distance on the glass along the axis for a radian, in the middle of the picture."""
         return float(abs(self.place_mm[0, 1]) / self.along_rad[1])
 
+    @property
+    def skew(self) -> float:
+        """Largest change of the place for a step across, along lines of equal phase that are sheared straight."""
+        change = np.polynomial.polynomial.polyder(self.place_mm, axis=0) / self.across_mm[1]
+        u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, _LOOKED_AT),) * 2)
+        return float(np.abs(np.polynomial.polynomial.polyval2d(v, u, change)).max())
+
     def within(self, across_mm: Array) -> Array:
-        """Give the coordinate across, or the edge of the projector's picture where it lies beyond."""
+        """Give the coordinate across, or the end of the map where it lies beyond."""
         middle, half = self.across_mm
-        return np.clip(across_mm, middle - half, middle + half)
+        return np.clip(across_mm, middle - _REACH * half, middle + _REACH * half)
 
     def value(self, coefficients: Array, phase_rad: Array, across_mm: Array) -> Array:
         """Value of `place_mm` or `lift`."""

@@ -23,7 +23,7 @@ _SAMPLES = 4096
 
 
 def smooth_regions(views: Views) -> NDArray[np.int32]:
-    """Connected pixels whose phases go on smoothly in all views.
+    """Connected pixels that the same views know, two or more, and whose phases go on smoothly in all of them.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def smooth_regions(views: Views) -> NDArray[np.int32]:
     Returns
     -------
     ndarray of int32, (h, w)
-        Number of the region, from 1; 0 where a phase is unknown, next to a jump, and in regions of under 30 pixels.
+        Number of the region, from 1; 0 where fewer than two phases are known, next to a jump, and in regions of under
+        30 pixels.
 
     Notes
     -----
@@ -42,12 +43,13 @@ def smooth_regions(views: Views) -> NDArray[np.int32]:
     deviation is 2.24 times that of a phase, and eight of its sigmas count as a jump (a step of 0.2 mm, an edge of
     0.04 deg in the paper's rig).
     """
-    smooth = np.ones(views.shape, np.uint8)
-    for phase in views.phases_rad:
-        smooth &= np.isfinite(phase)
+    seen = [np.isfinite(phase) for phase in views.phases_rad]
+    smooth = (np.add.reduce(seen, dtype=np.uint8) > 1).astype(np.uint8)
     jump = np.zeros(views.shape, np.uint8)
-    for phase, sigma in zip(views.phases_rad, views.sigmas_rad, strict=True):
-        known = sigma[smooth > 0]
+    for where in seen if len(seen) > 2 else ():
+        _mark_ends(where, jump)
+    for phase, sigma, where in zip(views.phases_rad, views.sigmas_rad, seen, strict=True):
+        known = sigma[where & (smooth > 0)]
         typical = float(np.median(known[:: max(1, known.size // _SAMPLES)])) if known.size else 0.0
         limit = max(_SIGMAS * np.sqrt(5.0) * typical, _LEAST_JUMP_RAD)
         _mark_jumps(phase, phase.dtype.type(limit), jump)
@@ -57,6 +59,14 @@ def smooth_regions(views: Views) -> NDArray[np.int32]:
     kept[0] = False
     renumbered = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
     return np.asarray(renumbered[labels])
+
+
+def _mark_ends(known: NDArray[np.bool_], jump: NDArray[np.uint8]) -> None:
+    """Mark both pixels of every pair of which a view knows one only."""
+    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        ends = known[one] != known[other]
+        jump[one] |= ends
+        jump[other] |= ends
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -125,8 +125,8 @@ def _nearest(known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int32], NDArra
 def cell_px(x_mm: Map, y_mm: Map) -> int:
     """Side of a cell in pixels where neighbouring pixels see these places, (h, w)."""
     thin = tuple(slice(None, None, max(1, size // _SAMPLES)) for size in x_mm.shape)
-    steps = [np.abs(np.diff(y_mm, axis=0)[thin]).ravel(), np.abs(np.diff(x_mm, axis=1)[thin]).ravel()]
-    across = np.concatenate(steps)
+    steps = (np.hypot(np.diff(x_mm, axis=axis)[thin], np.diff(y_mm, axis=axis)[thin]).ravel() for axis in (0, 1))
+    across = np.concatenate(tuple(steps))
     across = across[np.isfinite(across)]
     pitch = float(np.median(across)) if across.size else _CELL_MM
     return max(1, round(_CELL_MM / max(pitch, 1e-3)))

@@ -23,9 +23,11 @@ Kind = np.dtype[Any]
 
 _BAND_ROWS = 128
 _BAND_PX = 32_768
-# Rounds of the place across: each gains two digits or more, and float32 holds no more. One more where the rows' phases
-# tell it, which come without a slope to begin with.
-_ROUNDS = {np.dtype(np.float32): 2, np.dtype(np.float64): 4}
+# What the rounds of the place across may leave, as a part of the height (float32 holds no more), and what a round
+# leaves, in skews of the map. One round more where the rows' phases tell it, which come without a slope to begin with.
+_LEFT = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 3e-9}
+_LEFT_OF_SKEW = 2.0
+_FEWEST_ROUNDS, _MOST_ROUNDS = 2, 12
 _LEAST_ANGLE = 1e-3
 _LEAST_SPREAD = 1e-5
 
@@ -199,7 +201,7 @@ def _check_window(views: Views, tables: RigTables) -> None:
 def _solved(views: Views, tables: RigTables, slopes: Map | None = None, *, with_slopes: bool = False) -> DepthMap:
     """Depth with the surface's slope across as given, or level; in bands of rows, copied where they lie apart."""
     kind = np.result_type(*views.phases_rad)
-    place, ways = _Place.of(views, tables, kind), _ways(views, tables.model, kind)
+    place, ways = _Place.of(views, tables, kind), _ways(views, tables, kind)
     height, width = views.shape
     maps = [np.empty((height, width), kind) for _ in range(4 if with_slopes else 2)]
     rows, columns = views.window
@@ -237,13 +239,21 @@ def _pixels(views: Views, rows: slice, rays: tuple[Map, Map], slopes: Map | None
     )
 
 
-def _ways(views: Views, model: RigModel, kind: Kind) -> Ways:
+def _ways(views: Views, tables: RigTables, kind: Kind) -> Ways:
     return Ways(
         across=views.phases_y_rad is not None,
-        bowed=model.bow_mm is not None,
-        corrected=model.correction_rad is not None,
-        rounds=_ROUNDS[kind] + (views.phases_y_rad is not None),
+        bowed=tables.model.bow_mm is not None,
+        corrected=tables.model.correction_rad is not None,
+        rounds=_rounds(tables.along_x, kind) + (views.phases_y_rad is not None),
     )
+
+
+def _rounds(glass: GlassMap, kind: Kind) -> int:
+    """Rounds of the place across: each shrinks what is left by about the skew of the map."""
+    shrink = _LEFT_OF_SKEW * glass.skew
+    if not 0 < shrink < 1:
+        return _MOST_ROUNDS if shrink else _FEWEST_ROUNDS
+    return int(np.clip(np.ceil(np.log(_LEFT[kind]) / np.log(shrink)), _FEWEST_ROUNDS, _MOST_ROUNDS))
 
 
 def _table(glass: GlassMap, kind: Kind) -> Table:

@@ -66,17 +66,18 @@ def test_a_scratch_does_not_part_a_facet_a_gap_does():
     assert find_facets(depth).count == 4
 
 
-def test_treads_so_narrow_that_most_pixels_are_near_an_edge_are_found():
-    """Ten pixels wide, the outer ones smeared, with shades between them."""
-    heights, wide, pitch = (-11.0, -7.0, 0.0, 5.0, 11.0), 10, 14
-    depth = np.full((71, pitch * len(heights)), np.nan)
-    for tread, height in enumerate(heights):
-        first = tread * pitch
-        depth[:, first : first + wide] = height
-        depth[:, first] -= 0.8
-        depth[:, first + wide - 1] += 0.8
-    depth += np.random.default_rng(6).normal(0, 0.15, depth.shape)
-    assert find_facets(depth).count == len(heights)
+@pytest.mark.parametrize("noise_um", [80.0, 30.0, 10.0])
+def test_sloping_treads_stand_beside_level_ones(noise_um):
+    y = 0.06 * np.arange(300)[:, None]
+    depth = np.concatenate(
+        [
+            height + slope * (y - 9.0) * np.ones(100)
+            for height, slope in ((0, 0), (4, 0.1), (9, 0), (14, 0.1), (20, -0.1))
+        ],
+        axis=1,
+    )
+    depth += np.random.default_rng(7).normal(0, noise_um * 1e-3, depth.shape)
+    assert find_facets(depth).count == 5
 
 
 def test_curved_mirrors_are_facets_too():
