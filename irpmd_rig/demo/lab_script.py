@@ -24,6 +24,7 @@ def calibrate(rig: Client, on_event: Callable[[Event], None] | None = None) -> d
 
 def measure(rig: Client, subject: str, folder: Path, on_event: Callable[[Event], None] | None = None) -> Run:
     """Measure an object and save its results in a folder; returns the run."""
+    folder.mkdir(exist_ok=True)
     run = rig.carry_out(MEASURE.format(subject=subject), on_event=on_event)
     for name in run.results:
         rig.download(run.id, f"results/{name}", folder)
@@ -31,8 +32,9 @@ def measure(rig: Client, subject: str, folder: Path, on_event: Callable[[Event],
 
 
 if __name__ == "__main__":
+    subject = sys.argv[1]
     with Client() as rig:
         calibrate(rig)
-        run = measure(rig, sys.argv[1], Path())
+        run = measure(rig, subject, Path(subject))
         for step in rig.result(run.id)["steps"]:
             print(f"{step['name']}: {step['measured_mm']:.4f} mm, one sigma {step['uncertainty_um']:.1f} um")

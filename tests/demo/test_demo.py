@@ -103,7 +103,7 @@ def test_the_script_of_the_readme_runs_as_it_is_printed(lab):
     assert [line.split(":")[0] for line in lines] == ["1-2", "2-3", "3-4", "4-5"]
     for line, true_mm in zip(lines, (3.9868, 7.0248, 5.0062, 6.0986), strict=True):
         assert float(line.split()[1]) == pytest.approx(true_mm, abs=0.5)
-    assert (folder / "points.ply").is_file()
+    assert (folder / "mirror_step_y" / "points.ply").is_file()
 
 
 def test_the_demonstration_finds_what_the_script_finds_with_the_same_seed(lab, tmp_path):
