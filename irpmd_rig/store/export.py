@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from irpmd_rig.store.durable import free_bytes, write_file
 from irpmd_rig.store.errors import DiskFull, ExportError, FileNotInRun
-from irpmd_rig.store.formats import encode_png, grey_picture
+from irpmd_rig.store.formats import coloured_picture, encode_png
 from irpmd_rig.store.nexus import write_nexus
 from irpmd_rig.store.run_folder import RunFolder
 
@@ -28,7 +28,7 @@ def _copied(name: str) -> _Writer:
 
 
 def _write_depth_picture(stream: BufferedRandom, folder: RunFolder) -> None:
-    stream.write(encode_png(grey_picture(folder.results.read_array(DEPTH))))
+    stream.write(encode_png(coloured_picture(folder.results.read_array(DEPTH))))
 
 
 EXPORTS: MappingProxyType[str, _Writer] = MappingProxyType(

@@ -48,6 +48,13 @@ def grey_picture(values: NDArray[np.generic], low: float | None = None, high: fl
     return picture
 
 
+def coloured_picture(values: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Colours (viridis; red, green, blue) for the greys of `grey_picture`: only what is unknown is black."""
+    grey = grey_picture(values)
+    colours = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    return np.where(grey[..., None] > 0, colours, 0).astype(np.uint8)
+
+
 def write_point_cloud(
     stream: BinaryIO, points_mm: NDArray[np.floating], properties: Mapping[str, NDArray[np.generic]]
 ) -> None:

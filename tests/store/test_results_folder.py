@@ -8,7 +8,7 @@ from plyfile import PlyData
 from test_journal import largest_file
 
 from irpmd_rig.store import DiskFull, ExportError, FileNotInRun, Results, RunFolderError
-from irpmd_rig.store.formats import encode_png, grey_picture
+from irpmd_rig.store.formats import coloured_picture, encode_png, grey_picture
 
 
 @pytest.fixture
@@ -106,6 +106,12 @@ def test_links_and_folders_that_somebody_put_there_are_no_results(results: Resul
     assert results.names() == ("a.txt",)
     results.clear()
     assert results.names() == ()
+
+
+def test_of_a_coloured_picture_only_the_unknown_is_black() -> None:
+    picture = coloured_picture(np.array([[0.0, 1.0], [2.0, np.nan]]))
+    assert picture.shape == (2, 2, 3)
+    assert (picture.max(axis=2) > 50).tolist() == [[True, True], [True, False]]
 
 
 def test_grey_pictures() -> None:
